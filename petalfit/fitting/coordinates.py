@@ -1,0 +1,80 @@
+"""The coordinates that a fit moves in: unbounded, of order one, one for each free parameter."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from petalfit.components import parameters
+from petalfit.surfaces import AbstractSurface
+
+
+class Coordinates(eqx.Module):
+    """A bijection between ℝᵖ and the free parameters of a model inside their bounds.
+
+    θ = middle + half·s/√(1 + s²) with s = scale·t: nearly linear away from the bounds, and a unit step
+    in t is the standard deviation of the parameter's typical range. Parameters that are not free keep
+    the template's values.
+
+    Attributes:
+        template: A model; its leaves are arrays.
+        free: Names of the free parameters, in the model's order.
+        active: 1 for a parameter that may move, 0 for one that is held for the time being.
+    """
+
+    template: AbstractSurface
+    free: tuple[str, ...] = eqx.field(static=True)
+    middle: Float[Array, " p"]
+    half: Float[Array, " p"]
+    scale: Float[Array, " p"]
+    active: Float[Array, " p"]
+
+    @classmethod
+    def of(cls, model: AbstractSurface, free: tuple[str, ...]) -> Coordinates:
+        """Coordinates of the free parameters of `model`, bounded as they are declared."""
+        declared = [parameters(model)[name] for name in free]
+        low, high = np.array([p.bounds for p in declared]).T
+        typical = np.array([p.typical for p in declared])
+        half = 0.5 * (high - low)
+        scale = (typical[:, 1] - typical[:, 0]) / np.sqrt(12) / half
+        arrays = (0.5 * (low + high), half, scale, np.ones(len(free)))
+        return cls(_arrays(model), free, *map(jnp.asarray, arrays))
+
+    def holding(self, names: Iterable[str]) -> Coordinates:
+        """The same coordinates with the named parameters held: same shapes, same compiled code."""
+        active = jnp.array([float(name not in names) for name in self.free])
+        return eqx.tree_at(lambda c: c.active, self, active)
+
+    def values(self, t: Float[Array, " p"]) -> Float[Array, " p"]:
+        """Parameter values at the coordinates t."""
+        s = self.scale * t
+        return self.middle + self.half * s / jnp.sqrt(1 + s**2)
+
+    def slopes(self, t: Float[Array, " p"]) -> Float[Array, " p"]:
+        """dθ/dt at the coordinates t; zero for what is held."""
+        return self.active * self.half * self.scale * (1 + (self.scale * t) ** 2) ** -1.5
+
+    def inverse(self, values: Float[Array, " p"]) -> Float[Array, " p"]:
+        """Coordinates of parameter values, which are first moved inside their bounds."""
+        x = jnp.clip((values - self.middle) / self.half, -0.999, 0.999)
+        return x / jnp.sqrt(1 - x**2) / self.scale
+
+    def model(self, t: Float[Array, " p"]) -> AbstractSurface:
+        """The model at the coordinates t."""
+        values = self.values(t)
+        where = lambda model: [getattr(model, name) for name in self.free]  # noqa: E731
+        return eqx.tree_at(where, self.template, [values[i] for i in range(len(self.free))])
+
+    def gather(self, tree: AbstractSurface) -> Array:
+        """Leaves of the free parameters of a pytree like the model, stacked on the last axis."""
+        return jnp.stack([getattr(tree, name) for name in self.free], axis=-1)
+
+
+def _arrays(model: AbstractSurface) -> AbstractSurface:
+    """The model with strongly typed leaves, so that equal shapes mean the same compiled program."""
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), model)

@@ -1,0 +1,235 @@
+"""What a fit returns: values, how sure they are, and what the data cannot tell."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float64
+from scipy.stats import norm
+
+from petalfit import components
+from petalfit.components import parameters
+from petalfit.observations import PointCloud, TargetError
+from petalfit.observations.atomic import atomic_path
+from petalfit.surfaces import AbstractSurface
+
+if TYPE_CHECKING:
+    import trimesh
+
+FORMAT = "petalfit.FitResult"
+VERSION = 1
+
+
+class FitError(RuntimeError):
+    """A fit of usable data that failed numerically; `result` is what it ended with."""
+
+    def __init__(self, message: str, result: FitResult) -> None:
+        super().__init__(message)
+        self.result = result
+
+
+@dataclasses.dataclass(frozen=True)
+class Pose:
+    """Maps the model's frame to the target's: x_target = scale · R x_model + t.
+
+    Attributes:
+        rotation: R_target_model, shape (3, 3).
+        translation: t, shape (3,), in the target's unit.
+        scale: Positive.
+    """
+
+    rotation: Float64[np.ndarray, "3 3"]
+    translation: Float64[np.ndarray, "3"]
+    scale: float
+
+    @classmethod
+    def identity(cls) -> Pose:
+        """The pose of a target that is in the model's frame."""
+        return cls(np.eye(3), np.zeros(3), 1.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class Start:
+    """A start that was tried: what it was, what it reached, and how far it is from the best.
+
+    Attributes:
+        label: What distinguishes it, "rib_frequency 19.8" for instance.
+        values: The free parameters that it reached.
+        rms: Root mean square distance that it reached, in the target's unit.
+        delta_chi2: How much worse its χ² is than the best one's; 0 for the best.
+    """
+
+    label: str
+    values: dict[str, float]
+    rms: float
+    delta_chi2: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FitResult:
+    """The outcome of a fit.
+
+    Attributes:
+        model: The fitted component, in its own frame.
+        pose: From the model's frame to the target's.
+        values: Every parameter of the model by name, fixed ones included.
+        stderr: Standard errors of the free parameters; `inf` where the data cannot tell.
+        identifiable: Whether the data determine a free parameter: its standard error is below 0.3
+            standard deviations of its typical range.
+        names: The free parameters, in the order of `covariance`.
+        covariance: Shape (p, p); rows and columns of what is not identifiable are `inf`.
+        noise: Standard deviation σ of the noise, given or estimated, in the target's unit.
+        rms: Root mean square distance of the data to the surface, in the target's unit.
+        distances: Signed normal distance of every datum (+ on the side of the normal), or its distance
+            to the edge where it lies beyond; in the target's unit, shape (n,).
+        weights: The weight every datum had in the fit, shape (n,).
+        converged: Whether the solver settled on a finite minimum.
+        status: "converged", "round_limit" or "not_finite".
+        message: What a reader should know, in words; the warnings among them.
+        warnings: Reasons not to trust the result blindly; empty if there are none.
+        steps: Rounds of the final solve.
+        starts: What each start reached, best first.
+        target: The cloud that was fitted.
+    """
+
+    model: AbstractSurface
+    pose: Pose
+    values: dict[str, float]
+    stderr: dict[str, float]
+    identifiable: dict[str, bool]
+    names: tuple[str, ...]
+    covariance: Float64[np.ndarray, "p p"]
+    noise: float
+    rms: float
+    distances: Float64[np.ndarray, " n"]
+    weights: Float64[np.ndarray, " n"]
+    converged: bool
+    status: str
+    message: str
+    warnings: tuple[str, ...]
+    steps: int
+    starts: tuple[Start, ...]
+    target: PointCloud
+
+    def interval(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
+        """Symmetric confidence intervals of the free parameters.
+
+        Args:
+            level: Probability that the interval covers the truth, in (0, 1).
+
+        Returns:
+            (low, high) by name; (−inf, inf) where the data cannot tell.
+        """
+        if not 0 < level < 1:
+            raise ValueError(f"level must lie between 0 and 1; received {level}")
+        reach = float(norm.ppf(0.5 + 0.5 * level))
+        return {
+            name: (self.values[name] - reach * error, self.values[name] + reach * error)
+            for name, error in self.stderr.items()
+        }
+
+    def mesh(self, resolution: tuple[int, int] = (65, 65)) -> trimesh.Trimesh:
+        """The fitted surface as a triangle mesh with UVs, in the target's frame."""
+        mesh = self.model.mesh(resolution)
+        vertices = self.pose.scale * mesh.vertices @ self.pose.rotation.T + self.pose.translation
+        mesh.vertices = vertices
+        return mesh
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write everything as JSON, lossless; `load` gives it back. Whole or not at all."""
+        with atomic_path(path) as temporary:
+            temporary.write_text(json.dumps(self._to_json(), indent=1, allow_nan=False) + "\n")
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> FitResult:
+        """Read what `save` wrote.
+
+        Raises:
+            TargetError: The file cannot be read, or is no fit result of a known version.
+        """
+        try:
+            with open(path, encoding="utf-8") as file:
+                content = json.load(file)
+        except (OSError, ValueError) as error:
+            raise TargetError(f"{os.fspath(path)} cannot be read as a fit result: {error}") from None
+        if not isinstance(content, dict) or content.get("format") != FORMAT:
+            raise TargetError(f"{os.fspath(path)} is not a fit result; `petalfit fit` writes them.")
+        if content.get("version") != VERSION:
+            raise TargetError(
+                f"{os.fspath(path)} has version {content.get('version')} of the format; this "
+                f"petalfit reads version {VERSION}."
+            )
+        return cls._from_json(content)
+
+    def report(self, path: str | os.PathLike[str]) -> None:
+        """Write one self-contained HTML page with the parameter table and pictures."""
+        from petalfit.report import write_report
+
+        write_report(self, path)
+
+    def _to_json(self) -> dict[str, Any]:
+        fields = {
+            field.name: getattr(self, field.name)
+            for field in dataclasses.fields(self)
+            if field.name not in ("model", "target")
+        }
+        fields["pose"] = dataclasses.asdict(self.pose)
+        fields["starts"] = [dataclasses.asdict(start) for start in self.starts]
+        fields["target"] = {
+            "points": self.target.points,
+            "normals": self.target.normals,
+            "weights": self.target.weights,
+        }
+        head = {"format": FORMAT, "version": VERSION, "model": type(self.model).__name__}
+        return head | {name: _encode(value) for name, value in fields.items()}
+
+    @classmethod
+    def _from_json(cls, content: dict[str, Any]) -> FitResult:
+        fields = {name: _decode(value) for name, value in content.items()}
+        model = getattr(components, content["model"])
+        target = {k: None if v is None else np.array(v) for k, v in fields["target"].items()}
+        pose = {k: np.array(v) if k != "scale" else v for k, v in fields["pose"].items()}
+        kept = {field.name for field in dataclasses.fields(cls)} & fields.keys()
+        return cls(
+            **{name: fields[name] for name in kept}
+            | {
+                "model": model(**{name: fields["values"][name] for name in parameters(model)}),
+                "pose": Pose(**pose),
+                "names": tuple(fields["names"]),
+                "covariance": np.array(fields["covariance"], float),
+                "distances": np.array(fields["distances"], float),
+                "weights": np.array(fields["weights"], float),
+                "warnings": tuple(fields["warnings"]),
+                "starts": tuple(Start(**start) for start in fields["starts"]),
+                "target": PointCloud(**target),
+            }
+        )
+
+
+_NOT_FINITE = {"inf": np.inf, "-inf": -np.inf, "nan": np.nan}
+
+
+def _encode(value: Any) -> Any:
+    """JSON has no infinities: they become strings."""
+    if isinstance(value, dict):
+        return {key: _encode(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return value.tolist() if np.isfinite(value).all() else _encode(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_encode(item) for item in value]
+    if isinstance(value, float) and not np.isfinite(value):
+        return str(float(value))
+    return value
+
+
+def _decode(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _decode(item) for key, item in value.items()}
+    if isinstance(value, list):
+        flat = value and isinstance(value[0], float)
+        return value if flat and all(type(x) is float for x in value) else [*map(_decode, value)]
+    return _NOT_FINITE.get(value, value) if isinstance(value, str) else value

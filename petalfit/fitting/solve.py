@@ -1,0 +1,253 @@
+"""The pure numerical core of a cloud fit: from a start to the maximum of the likelihood.
+
+Everything here can be jitted, mapped and differentiated; shapes are static, data are arguments.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import lineax as lx
+import optimistix as optx
+from jaxtyping import Array, Bool, Float, Int
+
+from petalfit.fitting.coordinates import Coordinates
+from petalfit.residuals import (
+    Frame,
+    edge_pull,
+    edge_residual,
+    edge_score,
+    frame,
+    pull_back,
+    refine_foot_points,
+)
+from petalfit.surfaces import AbstractSurface
+
+# Levenberg-Marquardt starts with a damping of 1 and its variables have unit information, so residuals
+# are multiplied by this for a first step close to Gauss-Newton's.
+_GAIN = 15.0
+# Edges are looked at for the nearest quarter of the points, but never for fewer than this.
+_FEW = 256
+
+
+class Data(NamedTuple):
+    """A cloud as the core sees it, padded to a fixed size with zero weights.
+
+    Attributes:
+        points: Shape (n, 3), in the model's frame.
+        weights: How many observations each point counts for; zero for padding.
+        sigma: Standard deviation of the noise, in the unit of length; NaN to estimate it.
+    """
+
+    points: Float[Array, "n 3"]
+    weights: Float[Array, " n"]
+    sigma: Float[Array, ""]
+
+
+class State(NamedTuple):
+    """Where a fit stands.
+
+    Attributes:
+        t: Coordinates of the free parameters.
+        uv: Foot points.
+        sigma: Noise, given or estimated from the distances.
+        rounds: How many rounds were made.
+        moved: The last round's step in units of the standard errors, the largest over the parameters.
+    """
+
+    t: Float[Array, " p"]
+    uv: Float[Array, "n 2"]
+    sigma: Float[Array, ""]
+    rounds: Int[Array, ""]
+    moved: Float[Array, ""]
+
+
+class _Frozen(NamedTuple):
+    """What a round holds still: foot points, their frames, and the linear part of the cost.
+
+    A round's variables z are the coordinates t whitened by the information at the round's start, so
+    that one unit is about one standard error in every direction.
+    """
+
+    coordinates: Coordinates
+    data: Data
+    uv: Array
+    frame: Frame
+    sigma: Array
+    near: Array  # indices of the points that may lie near an edge
+    tilt: Array
+    origin: Array
+    whitening: Array
+
+    def place(self, z: Array) -> Array:
+        return self.origin + self.whitening @ z
+
+
+def solve(
+    coordinates: Coordinates,
+    data: Data,
+    t: Float[Array, " p"],
+    uv: Float[Array, "n 2"],
+    max_rounds: int,
+    tolerance: float,
+) -> State:
+    """Minimise Σ d²/2σ² − Σ log Φ(−e/σ) + Σ log Area over the free parameters.
+
+    d are normal distances, e the distances beyond the edges (see `petalfit.residuals.edge`). Rounds
+    alternate foot points with a few Levenberg-Marquardt steps on tangent distances to them; since the
+    distance does not change when its foot point slides, the fixed point is the exact minimum.
+
+    Args:
+        coordinates: Free parameters and the model that they belong to.
+        data: The cloud.
+        t: Start.
+        uv: Start of the foot points.
+        max_rounds: Upper bound of the rounds.
+        tolerance: Stop when no parameter moves by more than this many standard errors.
+
+    Returns:
+        The state after the last round. Its `uv` belong to the parameters before the last step.
+    """
+
+    whiten = _whitening(coordinates, data, t, uv)
+
+    def go_on(state: State) -> Bool[Array, ""]:
+        return (state.rounds < max_rounds) & ~(state.moved <= tolerance)
+
+    def one_round(state: State) -> State:
+        model = coordinates.model(state.t)
+        uv = refine_foot_points(model, data.points, state.uv, iterations=2)
+        frozen = _freeze(coordinates, data, state.t, uv, whiten)
+        solution = optx.least_squares(
+            _residuals,
+            optx.LevenbergMarquardt(rtol=1e-2, atol=1e-2, linear_solver=lx.Normal(lx.Cholesky())),
+            jnp.zeros_like(state.t),
+            frozen,
+            max_steps=12,
+            throw=False,
+        )
+        z = jnp.where(jnp.isfinite(solution.value).all(), solution.value, 0.0)
+        return State(frozen.place(z), uv, frozen.sigma, state.rounds + 1, jnp.max(jnp.abs(z)))
+
+    start = State(t, uv, data.sigma, jnp.array(0), jnp.array(jnp.inf, t.dtype))
+    return jax.lax.while_loop(go_on, one_round, start)
+
+
+def estimate_sigma(data: Data, distance: Float[Array, " n"], free: int) -> Float[Array, ""]:
+    """√(Σ w d² / (Σ w − p)), or the noise that was given; never exactly zero."""
+    count = jnp.sum(data.weights)
+    variance = jnp.sum(data.weights * distance**2) / jnp.maximum(count - free, 1)
+    extent = jnp.max(jnp.abs(data.points))
+    estimated = jnp.maximum(jnp.sqrt(variance), 1e-13 * extent)
+    return jnp.where(jnp.isnan(data.sigma), estimated, data.sigma)
+
+
+def information(
+    coordinates: Coordinates, data: Data, t: Float[Array, " p"], uv: Float[Array, "n 2"]
+) -> tuple[Float[Array, "p p"], Float[Array, ""]]:
+    """Fisher information of the coordinates t, and the noise σ that it was computed with.
+
+    Normal distances count by their Jacobian, points near the edge by the square of their score.
+    """
+    model = coordinates.model(t)
+    here = frame(model, uv)
+    offset = data.points - here.position
+    sigma = estimate_sigma(data, jnp.sum(here.normal * offset, axis=-1), len(t))
+    beyond = jnp.sum(here.conormals * offset[:, None, :], axis=-1) - here.left
+    edge = jnp.sum(edge_score(beyond / sigma)[..., None] * here.conormals, axis=1)
+    covectors = jnp.concatenate([here.normal, edge]) / sigma
+    covectors = covectors * jnp.sqrt(jnp.tile(data.weights, 2))[:, None]
+    rows = coordinates.gather(pull_back(model, jnp.tile(uv, (2, 1)), covectors))
+    rows = rows * coordinates.slopes(t)
+    return rows.T @ rows, sigma
+
+
+def _whitening(
+    coordinates: Coordinates, data: Data, t: Array, uv: Array
+) -> Callable[[Array], Array]:
+    """Standard errors in every direction as a matrix, for any noise: W Wᵀ = information⁻¹."""
+    matrix, at_sigma = information(coordinates, data, t, uv)
+    # The identity is the information of the typical ranges: it bounds the step where data say nothing.
+    root = jnp.linalg.cholesky(matrix + jnp.eye(len(t)))
+    whitening = jax.scipy.linalg.solve_triangular(root, jnp.eye(len(t)), lower=True).T
+    return lambda sigma: whitening * (sigma / at_sigma)
+
+
+def _freeze(
+    coordinates: Coordinates,
+    data: Data,
+    t: Array,
+    uv: Array,
+    whiten: Callable[[Array], Array],
+) -> _Frozen:
+    model = coordinates.model(t)
+    here = frame(model, uv)
+    offset = data.points - here.position
+    sigma = estimate_sigma(data, jnp.sum(here.normal * offset, axis=-1), len(t))
+    beyond = jnp.sum(here.conormals * offset[:, None, :], axis=-1) - here.left
+    beyond = jnp.where(data.weights > 0, jnp.max(beyond, axis=-1), -jnp.inf)
+    _, near = jax.lax.top_k(beyond, max(len(uv) // 4, min(len(uv), _FEW)))
+    whitening = whiten(sigma)
+    pull = coordinates.gather(edge_pull(model, uv, data.weights)) * coordinates.slopes(t)
+    return _Frozen(
+        coordinates, data, uv, here, sigma, near, whitening.T @ pull, t, whitening
+    )
+
+
+@jax.custom_jvp
+def _residuals(z: Array, frozen: _Frozen) -> Array:
+    distance, beyond, _ = _decompose(z, frozen)
+    edge = jnp.linalg.norm(edge_residual(beyond), axis=-1)
+    return _GAIN * jnp.concatenate(
+        [
+            jnp.sqrt(frozen.data.weights) * distance,
+            jnp.sqrt(frozen.data.weights[frozen.near]) * edge,
+            _tilt_residual(z, frozen)[None],
+        ]
+    )
+
+
+@_residuals.defjvp
+def _residuals_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
+    # All columns at once by one reverse pass per point; linearising `_residuals` column by column
+    # would cost several times as much.
+    z, frozen = primals
+    return _residuals(z, frozen), _jacobian(z, frozen) @ tangents[0]
+
+
+def _decompose(z: Array, frozen: _Frozen) -> tuple[Array, Array, AbstractSurface]:
+    """Distances, and edge distances of the near points, to the frozen frames, in units of σ."""
+    model = frozen.coordinates.model(frozen.place(z))
+    offset = frozen.data.points - model.position(frozen.uv[:, 0], frozen.uv[:, 1])
+    distance = jnp.sum(frozen.frame.normal * offset, axis=-1)
+    conormals, left = frozen.frame.conormals[frozen.near], frozen.frame.left[frozen.near]
+    beyond = jnp.sum(conormals * offset[frozen.near, None, :], axis=-1) - left
+    return distance / frozen.sigma, beyond / frozen.sigma, model
+
+
+def _jacobian(z: Array, frozen: _Frozen) -> Array:
+    _, beyond, model = _decompose(z, frozen)
+    residual, score = edge_residual(beyond), edge_score(beyond)
+    norm = jnp.linalg.norm(residual, axis=-1, keepdims=True)
+    slope = jnp.where(norm > 0, score / jnp.where(norm > 0, norm, 1.0), 0.0)
+    edge = jnp.sum(slope[..., None] * frozen.frame.conormals[frozen.near], axis=1)
+    rows = jnp.concatenate([jnp.arange(len(frozen.uv)), frozen.near])
+    root = jnp.sqrt(frozen.data.weights[rows]) / frozen.sigma
+    covectors = -jnp.concatenate([frozen.frame.normal, edge]) * root[:, None]
+    pulled = frozen.coordinates.gather(pull_back(model, frozen.uv[rows], covectors))
+    pulled = pulled * frozen.coordinates.slopes(frozen.place(z)) @ frozen.whitening
+    tilt = frozen.tilt / jnp.sqrt(2 * _constant(frozen))
+    return _GAIN * jnp.concatenate([pulled, tilt[None]])
+
+
+def _constant(frozen: _Frozen) -> float:
+    return 1e3 + len(frozen.uv)
+
+
+def _tilt_residual(z: Array, frozen: _Frozen) -> Array:
+    """A linear cost g·z as the square of √(2K) + g·z/√(2K), whose curvature vanishes for large K."""
+    root = jnp.sqrt(2 * _constant(frozen))
+    return root + frozen.tilt @ z / root

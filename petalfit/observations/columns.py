@@ -1,0 +1,149 @@
+"""Tables of numbers as point clouds: which column means what, and delimited text."""
+
+from array import array
+from pathlib import Path
+from typing import TypedDict
+
+import numpy as np
+from jaxtyping import Float64
+
+from petalfit.observations.errors import TargetError
+
+# Unit normals written with two decimals are off by up to 1 %; colours are off by far more.
+UNIT_TOLERANCE = 0.05
+
+
+class Columns(TypedDict):
+    """The fields of a `PointCloud`, before anything is checked."""
+
+    points: np.ndarray
+    normals: np.ndarray | None
+    weights: np.ndarray | None
+
+
+def unnamed_columns(table: Float64[np.ndarray, "n k"]) -> Columns:
+    """Reads the columns of a table without column names by their position.
+
+    Args:
+        table: (N, k), k ≥ 3. The first three columns are x, y, z. Three more are a normal if in
+            every row they have unit length (or are all zero: unknown); otherwise they are taken
+            for a colour and ignored, as is any other number of further columns.
+
+    Returns:
+        points (N, 3) and normals (N, 3) or None; no weights.
+    """
+    normals = None
+    if table.shape[1] == 6:
+        length = np.linalg.norm(table[:, 3:], axis=1)
+        if length.any() and (np.abs(length[length != 0.0] - 1.0) < UNIT_TOLERANCE).all():
+            normals = table[:, 3:]
+    return {"points": table[:, :3], "normals": normals, "weights": None}
+
+
+def named_columns(table: Float64[np.ndarray, "n k"], names: list[str]) -> Columns:
+    """Reads the columns of a table by their names.
+
+    Args:
+        table: (N, k).
+        names: k names in lower case: x, y, z; optionally nx, ny, nz and weight (or weights).
+            Other columns are ignored.
+
+    Returns:
+        points (N, 3), normals (N, 3) or None and weights (N,) or None.
+    """
+    column = dict(zip(names, table.T, strict=True))
+    has_normals = {"nx", "ny", "nz"} <= column.keys()
+    return {
+        "points": np.column_stack([column[name] for name in ("x", "y", "z")]),
+        "normals": np.column_stack([column[f"n{axis}"] for axis in "xyz"]) if has_normals else None,
+        "weights": column.get("weight", column.get("weights")),
+    }
+
+
+def read_text(path: Path) -> Columns:
+    """Reads delimited text: a point a line, its numbers between commas, semicolons or white space.
+
+    Between semicolons a comma is a decimal point, as spreadsheets write it in half of Europe.
+    What follows a # is a comment. The first line may be a header; one that names x, y and z, which
+    may also be a comment that begins with them, says which column is which (`named_columns`).
+    Otherwise the position does (`unnamed_columns`).
+
+    Args:
+        path: the file, in UTF-8 as far as it matters.
+
+    Returns:
+        The columns.
+
+    Raises:
+        TargetError: a line is not made of numbers or has another number of columns than the lines
+            before it, or there are no points.
+    """
+    values, width, names = array("d"), 0, None
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        for number, line in enumerate(file, start=1):
+            if not values and names is None and (names := _header(line)) is not None:
+                continue
+            fields = _fields(line.partition("#")[0])
+            if not fields:
+                continue
+            width = width or len(fields)
+            if len(fields) != width:
+                complaint = f"another number of columns ({len(fields)}) than before it ({width})"
+                raise _line_error(number, line, complaint)
+            if width < 3:
+                raise _line_error(number, line, f"too few columns ({width}) for x, y and z")
+            try:
+                values.extend(map(float, fields))
+            except ValueError:
+                word = next(field for field in fields if not _is_number(field))
+                raise _line_error(number, line, f"{_shown(word)} for a number") from None
+    if not values:
+        raise TargetError("holds no points, expected lines of at least three numbers.")
+    table = np.frombuffer(values).reshape(-1, width)
+    if names is None or not {"x", "y", "z"} <= set(names):
+        return unnamed_columns(table)
+    if len(names) != width:
+        raise TargetError(f"has {len(names)} names in its header, but {width} columns of numbers.")
+    return named_columns(table, names)
+
+
+def _header(line: str) -> list[str] | None:
+    """The column names in a line, in lower case, or None if it is no header."""
+    # CloudCompare begins its header with //.
+    names = [name.strip("\"' \t\n\r").lower() for name in _fields(line.lstrip("#/ \t"))]
+    if names[:3] == ["x", "y", "z"]:
+        return names
+    if not names or line.lstrip().startswith("#") or any(map(_is_number, names)):
+        return None
+    return names
+
+
+def _fields(text: str) -> list[str]:
+    """The fields of a line; one delimiter at its end is allowed."""
+    text = text.strip()
+    if ";" in text:
+        return text.removesuffix(";").replace(",", ".").split(";")
+    if "," in text:
+        return text.removesuffix(",").split(",")
+    return text.split()
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _line_error(number: int, line: str, complaint: str) -> TargetError:
+    """A TargetError about one line."""
+    return TargetError(
+        f"line {number} has {complaint}: {_shown(line)}; correct it, or comment it out with #."
+    )
+
+
+def _shown(text: str) -> str:
+    """Text in quotes, as much of it as fits on a line."""
+    text = text.strip()
+    return repr(text) if len(text) <= 60 else f"{text[:60]!r}…"

@@ -1,0 +1,237 @@
+"""Point clouds from files: PLY, OBJ, STL, GLB, glTF, delimited text and NumPy's own formats."""
+
+import io
+import json
+import logging
+import os
+import stat
+import warnings
+import zipfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from petalfit.observations.columns import Columns, named_columns, read_text, unnamed_columns
+from petalfit.observations.errors import TargetError
+from petalfit.observations.point_cloud import DEFAULT_SAMPLES, PointCloud, from_trimesh
+
+if TYPE_CHECKING:
+    import trimesh.parent
+
+# 2 GB is 80 million points in float64: no scan of a petal, and more than a laptop can fit.
+LARGEST_FILE = 2_000_000_000
+# Extensions of glTF without which trimesh would read every vertex as zero.
+COMPRESSIONS = (b"KHR_draco_mesh_compression", b"EXT_meshopt_compression")
+
+
+def read_point_cloud(
+    path: str | os.PathLike[str], n: int = DEFAULT_SAMPLES, seed: int = 0
+) -> PointCloud:
+    """Reads a point cloud, or samples a mesh.
+
+    - `.ply .obj .stl .glb .gltf`: if there are faces they are sampled, uniformly by area, and the
+      normals of the faces become the points' own; otherwise the vertices are the cloud, with the
+      normals (nx, ny, nz) and weights (weight) of a PLY that has them.
+    - `.xyz .txt .csv`: a point a line, see `petalfit.observations.columns.read_text`.
+    - `.npy`: an array (N, 3), or (N, 6) with normals as in text without a header.
+    - `.npz`: arrays `points`, `normals`, `weights`, of which only the first must be there; or a
+      single array of any name, as in `.npy`.
+
+    Args:
+        path: the file, at most 2 GB (in `.npz`, uncompressed). Its suffix, in either case, says
+            what it is.
+        n: number of points to draw from a file with faces; vertices are all taken.
+        seed: of `numpy.random.default_rng`.
+
+    Returns:
+        The cloud, in the file's unit of length and frame.
+
+    Raises:
+        TargetError: the file is missing, not readable, not what its suffix says, too large, or
+            what it holds is no usable cloud. The message begins with the path.
+        ValueError: n is not positive.
+    """
+    path = Path(path)
+    try:
+        _check_file(path)
+        parsed = _parse(path)
+        return PointCloud(**parsed) if isinstance(parsed, dict) else from_trimesh(parsed, n, seed)
+    except TargetError as error:
+        raise TargetError(f"{path}: {error}") from error.__cause__
+
+
+def _check_file(path: Path) -> None:
+    """Refuses what can be refused without opening the file."""
+    try:
+        status = path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        raise TargetError("there is no such file; check the path.") from None
+    except (OSError, ValueError) as error:  # ValueError: a null character in the path.
+        raise TargetError(f"cannot be opened ({_reason(error)}); check the path.") from error
+    if stat.S_ISDIR(status.st_mode):
+        raise TargetError("is a folder; give the path of a file in it.")
+    if path.suffix.lower() not in SUFFIXES:
+        raise TargetError(
+            f"has the unknown suffix {path.suffix!r}; supported are {' '.join(SUFFIXES)}."
+        )
+    if not stat.S_ISREG(status.st_mode):
+        raise TargetError("is not a regular file; copy its content to one first.")
+    if status.st_size == 0:
+        raise TargetError("is empty; export or copy it again.")
+    _check_size(status.st_size)
+
+
+def _check_size(size: int) -> None:
+    if size > LARGEST_FILE:
+        raise TargetError(
+            f"holds {size / 1e9:.3g} GB, expected at most {LARGEST_FILE / 1e9:.3g} GB; "
+            "thin the cloud or decimate the mesh first."
+        )
+
+
+def _parse(path: Path) -> "Columns | list[trimesh.parent.Geometry]":
+    """What the file holds, read but not yet judged."""
+    try:
+        with _quiet():
+            return _READERS[path.suffix.lower()](path)
+    except TargetError:
+        raise
+    except (PermissionError, FileNotFoundError) as error:
+        raise TargetError(
+            f"cannot be read ({_reason(error)}); check its permissions, and the files it names."
+        ) from error
+    except Exception as error:  # On damaged files NumPy and trimesh raise anything at all.
+        raise TargetError(
+            f"is damaged, cut short or no {path.suffix.lower()} file of a kind that is supported "
+            f"({_reason(error)}); copy it again, or export it again, a mesh as triangles."
+        ) from error
+
+
+def _reason(error: Exception) -> str:
+    """What an exception says, on one line and not too long."""
+    if isinstance(error, ImportError):
+        # Mostly a guess of trimesh: if bytes are not UTF-8, a package might know the encoding.
+        return f"not readable without the package {error.name}"
+    text = " ".join(str(error).split())
+    return f"{type(error).__name__}: {text if len(text) <= 160 else text[:160] + '…'}"
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keeps trimesh's log and all warnings back, except one that tells of lost data."""
+    # By its level, which the loggers of trimesh's modules inherit.
+    log = logging.getLogger("trimesh")
+    level = log.level
+    log.setLevel(logging.CRITICAL + 1)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            # np.fromstring, which trimesh uses on text, drops what it cannot parse.
+            warnings.filterwarnings("error", "string or file could not be read to its end")
+            yield
+    finally:
+        log.setLevel(level)
+
+
+def _read_ply(path: Path) -> "Columns | list[trimesh.parent.Geometry]":
+    import trimesh
+    from trimesh.exchange.ply import load_ply
+
+    with path.open("rb") as file:
+        ply = load_ply(file, fix_texture=False, skip_materials=True)
+    # The vertex element itself: trimesh drops a cloud's normals, and properties it does not know.
+    vertex = ply["metadata"]["_ply_raw"].get("vertex", {"length": 0})
+    if not vertex["length"]:
+        raise TargetError("holds no vertices; export it again.")
+    found = len(ply["vertices"])
+    if found != vertex["length"]:
+        raise TargetError(f"is cut short: {vertex['length']} vertices announced, {found} found.")
+    if ply.get("faces") is not None:
+        return [trimesh.Trimesh(ply["vertices"], ply["faces"], process=False)]
+    # A list property has two types: that of its length and that of its items.
+    names = [name for name, kind in vertex["properties"].items() if "," not in kind]
+    table = [np.ravel(vertex["data"][name]).astype(np.float64) for name in names]
+    return named_columns(np.column_stack(table), [name.lower() for name in names])
+
+
+def _read_geometry(path: Path) -> "list[trimesh.parent.Geometry]":
+    import trimesh
+    from trimesh.resolvers import FilePathResolver
+
+    kind = path.suffix.lower().removeprefix(".")
+    data = path.read_bytes()
+    if kind == "gltf":
+        # Of one that is no JSON, trimesh would only say that it finds no "model.gltf".
+        json.loads(data)
+    for compression in COMPRESSIONS:
+        if kind in {"glb", "gltf"} and compression in data:
+            raise TargetError(f"is compressed ({compression.decode()}); export it uncompressed.")
+    # Decoded here: for names that are not UTF-8 trimesh wants one more package.
+    file = io.StringIO(data.decode("utf-8", "replace")) if kind == "obj" else io.BytesIO(data)
+    # process=False: trimesh would quietly drop vertices that are NaN.
+    scene = trimesh.load_scene(
+        file,
+        file_type=kind,
+        resolver=FilePathResolver(str(path)),
+        skip_materials=True,
+        process=False,
+    )
+    # Copies in the frame of the scene, one for each place where it puts a mesh.
+    geometries = scene.dump()
+    if not any(len(getattr(geometry, "vertices", ())) for geometry in geometries):
+        raise TargetError(f"holds no vertices; it is empty, or no {path.suffix.lower()} file.")
+    return geometries
+
+
+def _read_npy(path: Path) -> Columns:
+    with path.open("rb") as file:
+        return _array_columns(np.lib.format.read_array(file, allow_pickle=False))
+
+
+def _read_npz(path: Path) -> Columns:
+    with zipfile.ZipFile(path) as archive:
+        # Before anything is unpacked. zipfile unpacks no more than the directory says.
+        _check_size(sum(member.file_size for member in archive.infolist()))
+        members = {member.removesuffix(".npy"): member for member in archive.namelist()}
+        if "points" not in members and len(members) != 1:
+            raise TargetError(
+                f"holds the arrays {', '.join(members) or '(none)'}; expected points and, "
+                "optionally, normals and weights, or a single array."
+            )
+        arrays: dict[str, np.ndarray] = {}
+        for name in members.keys() & {"points", "normals", "weights"} or members:
+            with archive.open(members[name]) as file:
+                arrays[name] = np.lib.format.read_array(file, allow_pickle=False)
+    if "points" not in arrays:
+        return _array_columns(*arrays.values())
+    return {
+        "points": arrays["points"],
+        "normals": arrays.get("normals"),
+        "weights": arrays.get("weights"),
+    }
+
+
+def _array_columns(array: np.ndarray) -> Columns:
+    """(N, 6) numbers by position; anything else is left to PointCloud to accept or refuse."""
+    if array.ndim == 2 and array.shape[1] == 6 and array.dtype.kind in "fiu":
+        return unnamed_columns(array.astype(np.float64))
+    return {"points": array, "normals": None, "weights": None}
+
+
+_READERS: dict[str, Callable[[Path], "Columns | list[trimesh.parent.Geometry]"]] = {
+    ".ply": _read_ply,
+    ".obj": _read_geometry,
+    ".stl": _read_geometry,
+    ".glb": _read_geometry,
+    ".gltf": _read_geometry,
+    ".xyz": read_text,
+    ".txt": read_text,
+    ".csv": read_text,
+    ".npy": _read_npy,
+    ".npz": _read_npz,
+}
+
+SUFFIXES: tuple[str, ...] = tuple(_READERS)

@@ -1,0 +1,87 @@
+"""Points drawn from the triangles of a mesh, uniformly by area."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float64
+
+from petalfit.observations.errors import TargetError
+from petalfit.observations.validation import LARGEST_COORDINATE
+
+if TYPE_CHECKING:
+    import trimesh
+
+
+def mesh_triangles(mesh: "trimesh.Trimesh") -> Float64[np.ndarray, "f 3 3"]:
+    """The corners of each face.
+
+    Args:
+        mesh: any mesh with faces; vertices that no face uses are ignored.
+
+    Returns:
+        (F, 3, 3): face, corner, coordinate; in float64.
+
+    Raises:
+        TargetError: there are no faces, they are no triangles in space, they use vertices that do
+            not exist, or a corner is not finite or too far out to compute an area.
+    """
+    vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces)
+    if not len(faces):
+        raise TargetError("the mesh has no faces; if it is a cloud, give its vertices instead.")
+    if (vertices.shape[1:], faces.shape[1:]) != ((3,), (3,)):
+        raise TargetError(
+            f"the mesh has vertices of shape {vertices.shape} and faces of shape {faces.shape}, "
+            "expected (V, 3) and (F, 3); repair or export it again."
+        )
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise TargetError(
+            f"the mesh has faces that use vertices {faces.min()} to {faces.max()}, but its "
+            f"vertices are 0 to {len(vertices) - 1}; repair or export it again."
+        )
+    corners = vertices[faces]
+    usable = (np.abs(corners) <= LARGEST_COORDINATE).all(axis=(1, 2))  # False for NaN.
+    if not usable.all():
+        raise TargetError(
+            f"the mesh has a corner that is NaN, infinite or beyond {LARGEST_COORDINATE:g} in "
+            f"{(~usable).sum()} of {len(faces)} faces, the first is face {usable.argmin()}; "
+            "remove them."
+        )
+    return corners
+
+
+def sample_triangles(
+    triangles: Float64[np.ndarray, "f 3 3"], n: int, seed: int
+) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"]]:
+    """Independent points, uniform by area, with the normals of their triangles.
+
+    Args:
+        triangles: (F, 3, 3), the corners of each triangle, anticlockwise seen from outside.
+        n: number of points, positive.
+        seed: of `numpy.random.default_rng`.
+
+    Returns:
+        points (n, 3) and unit normals (n, 3).
+
+    Raises:
+        ValueError: n is not positive.
+        TargetError: the triangles have no area.
+    """
+    if n < 1:
+        raise ValueError(f"n is {n}, expected a positive number of points.")
+    corner = triangles[:, 0]
+    first, second = triangles[:, 1] - corner, triangles[:, 2] - corner
+    longest = max(np.abs(first).max(), np.abs(second).max())
+    if longest == 0.0:
+        raise TargetError("the mesh has no area: the corners of every face coincide.")
+    # In units of the longest edge: areas of tiny meshes would underflow.
+    doubled = np.cross(first / longest, second / longest)
+    area = np.linalg.norm(doubled, axis=1)
+    if not area.sum() > 0.0:
+        raise TargetError("the mesh has no area: every face is a line or a point.")
+    rng = np.random.default_rng(seed)
+    face = rng.choice(len(area), size=n, p=area / area.sum())
+    s, t = rng.random((2, n, 1))
+    # Uniform on the parallelogram; its far half is folded back onto the triangle.
+    s, t = np.where(s + t > 1.0, (1.0 - s, 1.0 - t), (s, t))
+    points = corner[face] + s * first[face] + t * second[face]
+    return points, doubled[face] / area[face, None]

@@ -1,0 +1,105 @@
+"""Point clouds to files: PLY, delimited text and NumPy's own formats, all in full precision."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64
+
+from petalfit.observations.atomic import atomic_path
+from petalfit.observations.point_cloud import PointCloud
+
+
+def write_point_cloud(cloud: PointCloud, path: str | os.PathLike[str]) -> None:
+    """Writes a cloud whole or not at all; reading it again gives the same numbers to the last bit.
+
+    - `.ply`: binary, in double precision, with nx, ny, nz and weight if there are any.
+    - `.csv`: commas and a header.
+    - `.xyz`: blanks; a header, as a comment, only where there are weights.
+    - `.npy`: (N, 3), or (N, 6) with normals.
+    - `.npz`: `points`, `normals`, `weights`.
+
+    Args:
+        cloud: the cloud.
+        path: the file, whose suffix says what to write. An existing file is replaced.
+
+    Raises:
+        ValueError: the suffix is none of these, or the format has no place for weights.
+        OSError: the file cannot be written.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in _WRITERS:
+        raise ValueError(f"{path} has the suffix {suffix!r}; clouds are saved as {_SUFFIXES}.")
+    if suffix == ".npy" and cloud.weights is not None:
+        raise ValueError(f"{path} would lose the weights; save the cloud as .npz instead.")
+    with atomic_path(path) as temporary:
+        _WRITERS[suffix](cloud, temporary)
+
+
+def _table(cloud: PointCloud) -> tuple[list[str], Float64[np.ndarray, "n k"]]:
+    """The names of all columns, and the columns."""
+    names, columns = ["x", "y", "z"], [cloud.points]
+    if cloud.normals is not None:
+        names += ["nx", "ny", "nz"]
+        columns.append(cloud.normals)
+    if cloud.weights is not None:
+        names.append("weight")
+        columns.append(cloud.weights[:, None])
+    return names, np.hstack(columns)
+
+
+def _write_ply(cloud: PointCloud, path: Path) -> None:
+    names, table = _table(cloud)
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"element vertex {len(cloud)}",
+        *(f"property double {name}" for name in names),
+        "end_header\n",
+    ]
+    path.write_bytes("\n".join(header).encode() + table.astype("<f8").tobytes())
+
+
+def _write_csv(cloud: PointCloud, path: Path) -> None:
+    names, table = _table(cloud)
+    _write_lines(path, [",".join(names)], ",", table)
+
+
+def _write_xyz(cloud: PointCloud, path: Path) -> None:
+    names, table = _table(cloud)
+    # Other programs read three or six bare columns; four or seven mean something only by name.
+    header = [] if cloud.weights is None else ["# " + " ".join(names)]
+    _write_lines(path, header, " ", table)
+
+
+def _write_lines(
+    path: Path, header: list[str], delimiter: str, table: Float64[np.ndarray, "n k"]
+) -> None:
+    # repr is the shortest text that reads back as the same float.
+    rows = (delimiter.join(map(repr, row)) for row in table.tolist())
+    path.write_text("\n".join([*header, *rows, ""]), encoding="utf-8", newline="\n")
+
+
+def _write_npy(cloud: PointCloud, path: Path) -> None:
+    # An open file, because NumPy appends .npy to a path that ends in .NPY.
+    with path.open("wb") as file:
+        np.save(file, _table(cloud)[1])
+
+
+def _write_npz(cloud: PointCloud, path: Path) -> None:
+    arrays = {"points": cloud.points, "normals": cloud.normals, "weights": cloud.weights}
+    present = {name: array for name, array in arrays.items() if array is not None}
+    with path.open("wb") as file:
+        np.savez_compressed(file, **present)
+
+
+_WRITERS: dict[str, Callable[[PointCloud, Path], None]] = {
+    ".ply": _write_ply,
+    ".xyz": _write_xyz,
+    ".csv": _write_csv,
+    ".npy": _write_npy,
+    ".npz": _write_npz,
+}
+
+_SUFFIXES = " ".join(_WRITERS)

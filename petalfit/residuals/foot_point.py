@@ -1,0 +1,127 @@
+"""Foot points: the (u, v) of a surface nearest to given points."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from petalfit.surfaces import AbstractSurface
+
+
+def nearest_nodes(
+    surface: AbstractSurface, points: Float[Array, "n 3"]
+) -> Float[Array, "n 2"]:
+    """The nearest of 17 × 17 places in the domain: a coarse start for `refine_foot_points`."""
+    (u_low, u_high), (v_low, v_high) = surface.domain
+    fraction = (np.arange(_NODES) + 0.5) / _NODES
+    u, v = np.meshgrid(fraction, fraction, indexing="ij")
+    u, v = u_low + (u_high - u_low) * u.ravel(), v_low + (v_high - v_low) * v.ravel()
+    nodes = surface.position(jnp.asarray(u), jnp.asarray(v))
+    squares = jnp.sum(nodes**2, axis=-1)
+    # In batches: all squared distances at once would take gigabytes for a large cloud.
+    index = jax.lax.map(
+        lambda x: jnp.argmin(squares - 2.0 * nodes @ x), points, batch_size=min(len(points), 4096)
+    )
+    return jnp.stack([jnp.asarray(u)[index], jnp.asarray(v)[index]], axis=-1)
+
+
+def refine_foot_points(
+    surface: AbstractSurface,
+    points: Float[Array, "n 3"],
+    uv: Float[Array, "n 2"],
+    iterations: int | Int[Array, ""],
+) -> Float[Array, "n 2"]:
+    """Minimisers of |S(u, v) − x| over the surface's domain, from the starts `uv`.
+
+    Newton with a Levenberg damping per point, its quadratic model minimised over the domain. Needs
+    the second derivatives: where the surface bends within the noise (ribs, the midrib's crest),
+    Gauss-Newton does not converge. Two kinds of points get more: those that are still moving (at
+    folds, or between two ribs), and the farthest, which may be at a local minimum and look for a
+    better one from a coarse start.
+
+    Args:
+        surface: Any surface.
+        points: Points x, in the surface's frame.
+        uv: Start of every point, inside the domain.
+        iterations: Newton steps for all; two from a good start, six from a coarse one.
+
+    Returns:
+        Foot points, never farther from `points` than `uv` was.
+    """
+    uv, moving, squared = _newton(surface, points, uv, iterations)
+    few = min(len(uv), max(_FEW, len(uv) // 32))
+    _, late = jax.lax.top_k(moving, few)
+    _, far = jax.lax.top_k(squared, few)
+    both = jnp.concatenate([late, far])
+    starts = jnp.concatenate([uv[late], nearest_nodes(surface, points[far])])
+    refined, _, reached = _newton(surface, points[both], starts, 8)
+    uv, squared = uv.at[late].set(refined[:few]), squared.at[late].set(reached[:few])
+    closer = (reached[few:] < squared[far])[:, None]
+    return uv.at[far].set(jnp.where(closer, refined[few:], uv[far]))
+
+
+_NODES = 17
+_FEW = 32
+
+
+def _newton(
+    surface: AbstractSurface, points: Array, uv: Array, iterations: int | Array
+) -> tuple[Array, Array, Array]:
+    """Foot points, the size of the step that each would take next, and half the squared distance."""
+    low, high = (jnp.asarray(side, points.dtype) for side in zip(*surface.domain, strict=True))
+
+    def half_squared_distance(uv: Array, x: Array) -> Array:
+        return 0.5 * jnp.sum((surface.position(uv[0], uv[1]) - x) ** 2)
+
+    @jax.vmap
+    def expand(uv: Array, x: Array) -> tuple[Array, Array, Array]:
+        value, gradient = jax.value_and_grad(half_squared_distance)(uv, x)
+        return value, gradient, jax.hessian(half_squared_distance)(uv, x)
+
+    def step(_: int, state: tuple) -> tuple:
+        uv, move, value, gradient, hessian, damping = state
+        trial = jnp.clip(uv + move, low, high)
+        expansion = expand(trial, points)
+        better = expansion[0] <= value
+        uv, value, gradient, hessian = (
+            jnp.where(better.reshape(-1, *(1,) * (new.ndim - 1)), new, old)
+            for new, old in zip((trial, *expansion), (uv, value, gradient, hessian), strict=True)
+        )
+        damping = jnp.where(better, 0.1 * damping, 8.0 * damping + 0.2)
+        move = _newton_step(uv, gradient, hessian, damping, low, high)
+        return uv, move, value, gradient, hessian, damping
+
+    # The first pass only expands at the start.
+    n = len(points)
+    flat = (jnp.full(n, jnp.inf), jnp.zeros((n, 2)), jnp.zeros((n, 2, 2)))
+    state = (uv, jnp.zeros((n, 2)), *flat, jnp.zeros(n))
+    uv, move, value, *_ = jax.lax.fori_loop(0, iterations + 1, step, state)
+    return uv, jnp.max(jnp.abs(move), axis=-1), value
+
+
+def _newton_step(
+    uv: Array, gradient: Array, hessian: Array, damping: Array, low: Array, high: Array
+) -> Array:
+    """The step to the minimum of a damped, convex quadratic model over the domain, per point."""
+    # Scaled to a unit diagonal, since u and v may differ by orders of magnitude: [[a, t], [t, d]]
+    # with a, d = ±1.
+    root = jnp.sqrt(jnp.abs(jnp.diagonal(hessian, axis1=1, axis2=2)) + 1e-300)
+    a, d = jnp.sign(hessian[:, 0, 0]), jnp.sign(hessian[:, 1, 1])
+    t = hessian[:, 0, 1] / (root[:, 0] * root[:, 1])
+    smallest = 0.5 * (a + d) - jnp.sqrt(0.25 * (a - d) ** 2 + t**2)
+    shift = damping + jnp.where(smallest > 1e-9, 0.0, 1e-3 - 2 * smallest)
+    a, d = a + shift, d + shift
+    g_u, g_v = jnp.unstack(gradient / root, axis=1)
+    low_u, low_v = jnp.unstack((low - uv) * root, axis=1)
+    high_u, high_v = jnp.unstack((high - uv) * root, axis=1)
+    determinant = a * d - t**2
+    free_u, free_v = (t * g_v - d * g_u) / determinant, (t * g_u - a * g_v) / determinant
+    # Where the free minimum lies outside, one coordinate stops at the edge and the other follows.
+    u, v = jnp.clip(free_u, low_u, high_u), jnp.clip(free_v, low_v, high_v)
+    leaves_u, leaves_v = u != free_u, v != free_v
+    u = jnp.where(leaves_v & ~leaves_u, jnp.clip(-(g_u + t * v) / a, low_u, high_u), u)
+    v = jnp.where(leaves_u, jnp.clip(-(g_v + t * u) / d, low_v, high_v), v)
+    u = jnp.where(leaves_u & leaves_v, jnp.clip(-(g_u + t * v) / a, low_u, high_u), u)
+    return jnp.stack([u, v], axis=-1) / root

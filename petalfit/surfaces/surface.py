@@ -1,0 +1,148 @@
+"""The abstract differentiable surface: a map (u, v) → ℝ³ and all that follows from the map alone."""
+
+from __future__ import annotations
+
+import abc
+from typing import TYPE_CHECKING, ClassVar, NamedTuple, TypeAlias
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float, Real
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from petalfit.observations import PointCloud
+
+# A parameter's value. Leaves stay as they are given: a Python float keeps its 64 bits whatever
+# precision jax computes in.
+Scalar: TypeAlias = Real[ArrayLike, ""]
+
+
+class Domain(NamedTuple):
+    """The rectangle of parameters that a surface is defined on."""
+
+    u: tuple[float, float]
+    v: tuple[float, float]
+
+
+class AbstractSurface(eqx.Module):
+    """A surface S(u, v) in ℝ³. A subclass gives `domain` and `position`; the rest follows by autodiff.
+
+    `position` is written with `jax.numpy`, elementwise in u and v, so that everything here works on
+    arrays of any shape without `vmap`. The leaves of the module are the surface's parameters.
+
+    Attributes:
+        domain: Ranges of u and v.
+        orientation: +1 where ∂S/∂u × ∂S/∂v is the outward normal (+z for the rectangle), −1 where the
+            paper's parametrisation makes it point inward.
+        regular: True promises that the tangents are independent everywhere, which spares `normal` the
+            care that poles need (half the cost of a deformed surface's derivatives).
+    """
+
+    domain: eqx.AbstractClassVar[Domain]
+    orientation: ClassVar[float] = 1.0
+    regular: ClassVar[bool] = False
+
+    @abc.abstractmethod
+    def position(
+        self, u: Float[Array, "*shape"], v: Float[Array, "*shape"]
+    ) -> Float[Array, "*shape 3"]:
+        """The map itself, for u and v of one shape."""
+
+    def __call__(self, u: Real[ArrayLike, "..."], v: Real[ArrayLike, "..."]) -> Float[Array, "... 3"]:
+        """Points S(u, v).
+
+        Args:
+            u: Values of the first parameter, any shape; broadcast against `v`.
+            v: Values of the second parameter.
+
+        Returns:
+            Points, the broadcast shape followed by 3, in the unit of the surface's lengths.
+        """
+        return self.position(*_floats(u, v))
+
+    def tangents(
+        self, u: Real[ArrayLike, "..."], v: Real[ArrayLike, "..."]
+    ) -> tuple[Float[Array, "... 3"], Float[Array, "... 3"]]:
+        """The partial derivatives ∂S/∂u and ∂S/∂v, each of shape (..., 3)."""
+        return _tangents(self, *_floats(u, v))
+
+    def normal(self, u: Real[ArrayLike, "..."], v: Real[ArrayLike, "..."]) -> Float[Array, "... 3"]:
+        """Unit normals, shape (..., 3), by automatic differentiation of the map.
+
+        Where a tangent vanishes, as ∂S/∂v does at the poles of an ellipsoid, the normal is the limit
+        from inside the domain; values and first derivatives stay finite there.
+        """
+        u, v = _floats(u, v)
+        cross = _cross(self, u, v)
+        if not self.regular:
+            cross = self._away_from_poles(u, v, cross)
+        squared = jnp.sum(cross**2, -1, keepdims=True)
+        return self.orientation * cross / jnp.sqrt(jnp.where(squared > 0, squared, 1.0))
+
+    def _away_from_poles(self, u: Array, v: Array, cross: Array) -> Array:
+        """N = ∂u × ∂v, replaced by a vector of its limit's direction where it vanishes."""
+        scale = sum(jnp.sum(t**2, -1, keepdims=True) for t in _tangents(self, u, v))
+        squared = jnp.sum(cross**2, -1, keepdims=True)
+        degenerate = squared <= (32 * jnp.finfo(cross.dtype).eps * scale) ** 2
+        # At a pole N vanishes like h·N', with h the distance into the domain. N/h = N' + h·N''/2:
+        # evaluating N' at half the offset gives the right slope as well as the right value.
+        (u_low, u_high), (v_low, v_high) = self.domain
+        inward = jax.tree.map(
+            jax.lax.stop_gradient, (0.5 * (u_low + u_high) - u, 0.5 * (v_low + v_high) - v)
+        )
+        half = tuple(0.5 * (x + jax.lax.stop_gradient(x)) for x in (u, v))
+        _, derivative = jax.jvp(lambda u, v: _cross(self, u, v), half, inward)
+        return jnp.where(degenerate, derivative, cross)
+
+    def area_element(
+        self, u: Real[ArrayLike, "..."], v: Real[ArrayLike, "..."]
+    ) -> Float[Array, "..."]:
+        """|∂S/∂u × ∂S/∂v|, the area per unit of du dv; zero with a zero gradient at a pole."""
+        squared = jnp.sum(_cross(self, *_floats(u, v)) ** 2, -1)
+        positive = squared > 0
+        return jnp.where(positive, jnp.sqrt(jnp.where(positive, squared, 1.0)), 0.0)
+
+    def area(self, resolution: tuple[int, int] = (512, 256)) -> Float[Array, ""]:
+        """Surface area by the midpoint rule on `resolution` cells, in the unit of length squared."""
+        (u_low, u_high), (v_low, v_high) = self.domain
+        n_u, n_v = resolution
+        u = u_low + (u_high - u_low) * (jnp.arange(n_u) + 0.5) / n_u
+        v = v_low + (v_high - v_low) * (jnp.arange(n_v) + 0.5) / n_v
+        cell = (u_high - u_low) * (v_high - v_low) / (n_u * n_v)
+        return cell * jnp.sum(self.area_element(u[:, None], v[None, :]))
+
+    def sample(self, n: int, seed: int = 0, noise: float = 0.0) -> PointCloud:
+        """An area-uniform random cloud of the surface. See `petalfit.surfaces.sampling`."""
+        from petalfit.surfaces.sampling import sample
+
+        return sample(self, n, seed, noise)
+
+    def mesh(self, resolution: tuple[int, int] = (65, 65)) -> trimesh.Trimesh:
+        """A triangle mesh with UVs. See `petalfit.surfaces.tessellation`."""
+        from petalfit.surfaces.tessellation import tessellate
+
+        return tessellate(self, resolution)
+
+
+def _floats(u: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
+    dtype = jnp.result_type(u, v, float)
+    u, v = jnp.broadcast_arrays(jnp.asarray(u, dtype), jnp.asarray(v, dtype))
+    return u, v
+
+
+def _tangents(surface: AbstractSurface, u: Array, v: Array) -> tuple[Array, Array]:
+    one, zero = jnp.ones_like(u), jnp.zeros_like(u)
+    _, tangent_u = jax.jvp(surface.position, (u, v), (one, zero))
+    _, tangent_v = jax.jvp(surface.position, (u, v), (zero, one))
+    return tangent_u, tangent_v
+
+
+def _cross(surface: AbstractSurface, u: Array, v: Array) -> Array:
+    # Written out: under vmap and grad, `jnp.cross` costs twice as much.
+    (a_x, a_y, a_z), (b_x, b_y, b_z) = (
+        jnp.unstack(tangent, axis=-1) for tangent in _tangents(surface, u, v)
+    )
+    return jnp.stack([a_y * b_z - a_z * b_y, a_z * b_x - a_x * b_z, a_x * b_y - a_y * b_x], axis=-1)

@@ -1,0 +1,58 @@
+"""Triangle meshes of a surface."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import jax
+import numpy as np
+
+from petalfit.surfaces.surface import AbstractSurface
+
+if TYPE_CHECKING:
+    import trimesh
+
+
+def tessellate(surface: AbstractSurface, resolution: tuple[int, int] = (65, 65)) -> trimesh.Trimesh:
+    """A triangle mesh on a regular grid of the domain.
+
+    Args:
+        surface: Any surface.
+        resolution: Number of vertices along u and along v, at least 2 each.
+
+    Returns:
+        A mesh with unit normals of the surface at its vertices, wound so that the faces' normals agree
+        with them, and with (u, v) scaled to [0, 1]² as texture coordinates.
+
+    Raises:
+        ValueError: The resolution is too small.
+    """
+    import trimesh
+
+    n_u, n_v = resolution
+    if n_u < 2 or n_v < 2:
+        raise ValueError(f"a mesh needs at least 2 × 2 vertices; received {n_u} × {n_v}")
+    u, v = (np.linspace(*side, n) for side, n in zip(surface.domain, resolution, strict=True))
+    u, v = (x.ravel() for x in np.meshgrid(u, v, indexing="ij"))
+    with jax.enable_x64(True):
+        vertices, normals = (np.asarray(x) for x in _POSITION_AND_NORMAL(surface, u, v))
+    (u_low, u_high), (v_low, v_high) = surface.domain
+    uv = np.stack([(u - u_low) / (u_high - u_low), (v - v_low) / (v_high - v_low)], axis=-1)
+    corner = (np.arange(n_u - 1)[:, None] * n_v + np.arange(n_v - 1)).ravel()
+    across, along = corner + n_v, corner + 1
+    faces = np.concatenate(
+        [
+            np.stack([corner, across, across + 1], axis=-1),
+            np.stack([corner, across + 1, along], axis=-1),
+        ]
+    )
+    return trimesh.Trimesh(
+        vertices,
+        faces if surface.orientation > 0 else faces[:, ::-1],
+        vertex_normals=normals,
+        visual=trimesh.visual.TextureVisuals(uv=uv),
+        process=False,
+    )
+
+
+_POSITION_AND_NORMAL = jax.jit(lambda surface, u, v: (surface(u, v), surface.normal(u, v)))
