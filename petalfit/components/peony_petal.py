@@ -31,47 +31,92 @@ class PeonyPetal(AbstractDeformedSurface):
     """
 
     a_x: Scalar = parameter(
-        14.0, symbol="a_x", unit="length", bounds=(1.0, 100.0), typical=(8.0, 28.0),
+        14.0,
+        symbol="a_x",
+        unit="length",
+        bounds=(1.0, 100.0),
+        typical=(8.0, 28.0),
         meaning="width of the undeformed rectangle",
     )
     b_y: Scalar = parameter(
-        22.0, symbol="b_y", unit="length", bounds=(1.0, 200.0), typical=(12.0, 44.0),
+        22.0,
+        symbol="b_y",
+        unit="length",
+        bounds=(1.0, 200.0),
+        typical=(12.0, 44.0),
         meaning="length of the undeformed rectangle",
     )
     c_z: Scalar = parameter(
-        0.0, symbol="c_z", unit="length", bounds=(-200.0, 200.0), typical=(-5.0, 5.0),
+        0.0,
+        symbol="c_z",
+        unit="length",
+        bounds=(-200.0, 200.0),
+        typical=(-5.0, 5.0),
         meaning="section distance: height of the undeformed rectangle",
     )
     c: Scalar = parameter(
-        0.6, symbol="c", unit="rad", bounds=(-0.5, 1.5), typical=(0.1, 1.1),
+        0.6,
+        symbol="c",
+        unit="rad",
+        bounds=(-0.5, 1.5),
+        typical=(0.1, 1.1),
         meaning="phase of the widening from base to tip",
     )
     dx: Scalar = parameter(
-        0.4, symbol="dx", unit="length", bounds=(-10.0, 10.0), typical=(-0.8, 0.8),
+        0.4,
+        symbol="dx",
+        unit="length",
+        bounds=(-10.0, 10.0),
+        typical=(-0.8, 0.8),
         meaning="amplitude of the waves across the petal",
     )
     dy: Scalar = parameter(
-        3.0, symbol="dy", unit="length", bounds=(-50.0, 50.0), typical=(-6.0, 6.0),
+        3.0,
+        symbol="dy",
+        unit="length",
+        bounds=(-50.0, 50.0),
+        typical=(-6.0, 6.0),
         meaning="amplitude of the bend along the petal",
     )
     rib_frequency: Scalar = parameter(
-        20.0, symbol="f", unit="1", bounds=(1.0, 64.0), typical=(4.0, 40.0),
+        20.0,
+        symbol="f",
+        unit="1",
+        bounds=(1.0, 64.0),
+        typical=(4.0, 40.0),
         meaning="number of half waves of the ribs across the petal",
     )
     rib_amplitude: Scalar = parameter(
-        0.3, symbol="A", unit="length", bounds=(-5.0, 5.0), typical=(0.0, 0.6),
+        0.3,
+        symbol="A",
+        unit="length",
+        bounds=(-5.0, 5.0),
+        typical=(0.0, 0.6),
         meaning="height of the ribs",
     )
     midrib_height: Scalar = parameter(
-        3.0, symbol="h", unit="length", bounds=(-50.0, 50.0), typical=(0.0, 5.0),
+        3.0,
+        symbol="h",
+        unit="length",
+        bounds=(-50.0, 50.0),
+        typical=(0.0, 5.0),
         meaning="height of the midrib at the base",
     )
     midrib_sharpness: Scalar = parameter(
-        800.0, symbol="s", unit="1", bounds=(20.0, 20000.0), typical=(200.0, 2000.0),
-        meaning="decay of the midrib across the petal", fixed=True,
+        800.0,
+        symbol="s",
+        unit="1",
+        bounds=(20.0, 20000.0),
+        typical=(200.0, 2000.0),
+        meaning="decay of the midrib across the petal",
+        fixed=True,
     )
     tip_curl: Scalar = parameter(
-        2.0, symbol="t", unit="length", bounds=(-50.0, 50.0), typical=(-4.0, 4.0),
+        2.0,
+        symbol="t",
+        unit="length",
+        bounds=(-50.0, 50.0),
+        typical=(-4.0, 4.0),
         meaning="amplitude of the curl towards the tip",
     )
     domain: ClassVar[Domain] = Rectangle.domain
@@ -96,4 +141,4 @@ class PeonyPetal(AbstractDeformedSurface):
         bend = self.dy * jnp.sin(_PI * y / 40 - 1)
         waves = self.dx * jnp.sin(_PI * x / 2 - 0.5)
         curl = self.tip_curl * v**3 * jnp.sin(_PI * x / 8)
-        return ribs + midrib + bend + waves + curl
+        return jnp.asarray(ribs + midrib + bend + waves + curl)

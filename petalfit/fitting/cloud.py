@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -19,6 +18,7 @@ from petalfit.fitting.solve import Data, State
 # Points that a start is found with. Enough for the ribs, which are fine; and small clouds are fitted
 # with programs of a single size.
 _START_POINTS = 1536
+_BIAS_POINTS = 6144
 # Rivals of the best rib frequency are followed if the periodogram prefers it by less than this in χ².
 _CLEAR_LEAD = 50.0
 
@@ -99,7 +99,7 @@ def fit_cloud(
 
 
 def _starts(
-    coordinates: Coordinates,
+    coordinates: Coordinates[PeonyPetal],
     points: np.ndarray,
     weights: np.ndarray,
     order: np.ndarray,
@@ -122,7 +122,7 @@ def _starts(
     smooth = with_values(smooth, {"rib_amplitude": jnp.zeros(())})
     held = coordinates.holding(RIBS)
     held = eqx.tree_at(lambda c: c.template, held, smooth)
-    state = programs.solve_compiled(held, data, held.inverse(held.gather(smooth)), uv, 8, 0.3)
+    state = programs.solve_compiled(held, data, held.inverse(held.gather(smooth)), uv, 6, 3.0)
     smooth = with_values(held.model(state.t), {"rib_amplitude": jnp.zeros(())})
     if not set(RIBS) & set(free):
         yield "the outline", with_values(smooth, {"rib_amplitude": template.rib_amplitude})
@@ -139,7 +139,7 @@ def _starts(
 
 
 def _settle(
-    coordinates: Coordinates,
+    coordinates: Coordinates[PeonyPetal],
     label: str,
     model: PeonyPetal,
     points: np.ndarray,
@@ -149,16 +149,18 @@ def _settle(
 ) -> Settled:
     """Polish on ever more points: each stage starts within a few standard errors of its end."""
     t = coordinates.inverse(coordinates.gather(model))
-    used = np.flatnonzero(weights > 0)
-    if len(used) > 2 * _START_POINTS:
-        some = np.random.default_rng(seed).permutation(used)[:_START_POINTS]
+    order = np.random.default_rng(seed).permutation(np.flatnonzero(weights > 0))
+    if len(order) > 2 * _START_POINTS:
+        some = order[:_START_POINTS]
         data = pad(points[some], weights[some], noise)
-        uv = programs.feet(coordinates.model(t), data.points)
-        t = programs.solve_compiled(coordinates, data, t, uv, 10, 0.03).t
+        uv = programs.plane_feet(coordinates.model(t), data.points)
+        t = programs.solve_compiled(coordinates, data, t, uv, 10, 0.1).t
     data = pad(points, weights, noise)
-    uv = programs.feet(coordinates.model(t), data.points)
+    some = order[:_BIAS_POINTS]
+    sample = data if len(order) <= _BIAS_POINTS else pad(points[some], weights[some], noise)
+    uv = programs.plane_feet(coordinates.model(t), data.points)
     state = programs.solve_compiled(coordinates, data, t, uv, _ROUNDS, _TOLERANCE)
-    finish = programs.finish(coordinates, data, state)
+    finish = programs.finish(coordinates, data, state, sample)
     values = dict(zip(coordinates.free, finish.values, strict=True))
     residual = data.weights * (finish.distance**2 + jnp.maximum(finish.beyond, 0.0) ** 2)
     total = float(jnp.sum(data.weights))
@@ -167,4 +169,4 @@ def _settle(
 
 
 _ROUNDS = 30
-_TOLERANCE = 1e-3  # standard errors
+_TOLERANCE = 1e-2  # standard errors

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Generic, TypeVar
 
 import equinox as eqx
 import jax
@@ -13,8 +14,10 @@ from jaxtyping import Array, Float
 from petalfit.components import parameters
 from petalfit.surfaces import AbstractSurface
 
+Model = TypeVar("Model", bound=AbstractSurface)
 
-class Coordinates(eqx.Module):
+
+class Coordinates(eqx.Module, Generic[Model]):
     """A bijection between ℝᵖ and the free parameters of a model inside their bounds.
 
     θ = middle + half·s/√(1 + s²) with s = scale·t: nearly linear away from the bounds, and a unit step
@@ -27,7 +30,7 @@ class Coordinates(eqx.Module):
         active: 1 for a parameter that may move, 0 for one that is held for the time being.
     """
 
-    template: AbstractSurface
+    template: Model
     free: tuple[str, ...] = eqx.field(static=True)
     middle: Float[Array, " p"]
     half: Float[Array, " p"]
@@ -35,7 +38,7 @@ class Coordinates(eqx.Module):
     active: Float[Array, " p"]
 
     @classmethod
-    def of(cls, model: AbstractSurface, free: tuple[str, ...]) -> Coordinates:
+    def of(cls, model: Model, free: tuple[str, ...]) -> Coordinates[Model]:
         """Coordinates of the free parameters of `model`, bounded as they are declared."""
         declared = [parameters(model)[name] for name in free]
         low, high = np.array([p.bounds for p in declared]).T
@@ -45,7 +48,7 @@ class Coordinates(eqx.Module):
         arrays = (0.5 * (low + high), half, scale, np.ones(len(free)))
         return cls(_arrays(model), free, *map(jnp.asarray, arrays))
 
-    def holding(self, names: Iterable[str]) -> Coordinates:
+    def holding(self, names: Iterable[str]) -> Coordinates[Model]:
         """The same coordinates with the named parameters held: same shapes, same compiled code."""
         active = jnp.array([float(name not in names) for name in self.free])
         return eqx.tree_at(lambda c: c.active, self, active)
@@ -64,7 +67,7 @@ class Coordinates(eqx.Module):
         x = jnp.clip((values - self.middle) / self.half, -0.999, 0.999)
         return x / jnp.sqrt(1 - x**2) / self.scale
 
-    def model(self, t: Float[Array, " p"]) -> AbstractSurface:
+    def model(self, t: Float[Array, " p"]) -> Model:
         """The model at the coordinates t."""
         values = self.values(t)
         where = lambda model: [getattr(model, name) for name in self.free]  # noqa: E731
@@ -75,6 +78,6 @@ class Coordinates(eqx.Module):
         return jnp.stack([getattr(tree, name) for name in self.free], axis=-1)
 
 
-def _arrays(model: AbstractSurface) -> AbstractSurface:
+def _arrays(model: Model) -> Model:
     """The model with strongly typed leaves, so that equal shapes mean the same compiled program."""
     return jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), model)

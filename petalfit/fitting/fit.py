@@ -5,7 +5,6 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable, Iterable
-from typing import Literal
 
 import jax
 import numpy as np
@@ -22,6 +21,12 @@ _DETERMINED = 0.3
 # Distances of more than this fraction of the cloud's diagonal are no noise.
 _MISFIT = 0.02
 _GROSS = 6.0  # in units of the noise
+# By chance alone, the best of the some 200 frequencies that ribs could have leads by 2 log 200 in χ².
+_CLEAR_LEAD = 20.0
+_EMPTY = 0.1
+# Where foot points jump between two folds, a fit may flip for ever between two states that are nearly
+# the same: up to this many standard errors apart, that is a warning and no failure.
+_SETTLED = 0.5
 
 
 def fit_petal(
@@ -38,11 +43,11 @@ def fit(
     model: type[AbstractSurface] | AbstractSurface,
     target: object,
     *,
-    pose: Literal["known"] = "known",
+    pose: str = "known",
     free: Iterable[str] | None = None,
     init: AbstractSurface | None = None,
     noise: float | None = None,
-    loss: Literal["linear"] = "linear",
+    loss: str = "linear",
     seed: int = 0,
     throw: bool = True,
     progress: Callable[[str], None] | None = None,
@@ -176,7 +181,8 @@ def _result(
     finish = best.finish
     beyond = np.maximum(finish.beyond[:n], 0.0)
     distances = np.where(
-        beyond > 0, np.copysign(np.hypot(finish.distance[:n], beyond), finish.distance[:n]),
+        beyond > 0,
+        np.copysign(np.hypot(finish.distance[:n], beyond), finish.distance[:n]),
         finish.distance[:n],
     )
     declared = parameters(template)
@@ -185,25 +191,40 @@ def _result(
         and np.isfinite(finish.information).all()
         and np.isfinite(distances).all()
     )
-    settled = finite and bool(best.state.moved <= 0.05)
-    status = "converged" if settled else "round_limit" if finite else "not_finite"
-    covariance, identifiable = _covariance(finish.information, names, declared, finite)
+    settled = finite and bool(best.state.moved <= _SETTLED)
+    rms = math.sqrt(np.average(distances**2, weights=weights)) if finite else math.inf
+    misfit = rms > max(_MISFIT * cloud.diagonal, 1.5 * (noise or 0.0))
+    status = (
+        "not_finite"
+        if not finite
+        else "misfit"
+        if misfit
+        else "converged"
+        if settled
+        else "round_limit"
+    )
+    covariance, identifiable = _covariance(ends, names, declared, finite)
     values = {
         name: float(getattr(best.model, name)) if finite else float(getattr(template, name))
         for name in declared
     }
     sigma = float(best.state.sigma)
     stderr = dict(zip(names, map(float, np.sqrt(np.diag(covariance))), strict=True))
-    rms = math.sqrt(np.average(distances**2, weights=weights)) if finite else math.inf
+    flips = settled and float(best.state.moved) > 0.05
     warnings = [
+        *([f"parameters flip by {float(best.state.moved):.2g} standard errors"] if flips else []),
         *_bound_warnings(values, names, declared),
         *(f"{name} is not determined by this target" for name in names if not identifiable[name]),
         *_distance_warnings(cloud, distances, weights, rms, noise),
+        *_coverage_warnings(best, weights),
     ]
     message = {
         "converged": f"converged after {int(best.state.rounds)} rounds",
         "round_limit": f"not converged after {int(best.state.rounds)} rounds: parameters still move "
         f"by {float(best.state.moved):.2g} standard errors",
+        "misfit": f"no petal of this model fits: distances are {100 * rms / cloud.diagonal:.1f} % of the "
+        "target's diagonal; either it is not in the model's frame and unit (pose='known'), or it has "
+        "another shape",
         "not_finite": "the solver met values that are not finite",
     }[status]
     return FitResult(
@@ -218,7 +239,7 @@ def _result(
         rms=rms,
         distances=distances,
         weights=np.array(weights, float),
-        converged=settled,
+        converged=status == "converged",
         status=status,
         message="; ".join([message, *warnings]),
         warnings=tuple(warnings),
@@ -237,7 +258,7 @@ def _result(
 
 
 def _covariance(
-    information: np.ndarray, names: tuple[str, ...], declared: dict[str, Parameter], finite: bool
+    ends: list[Settled], names: tuple[str, ...], declared: dict[str, Parameter], finite: bool
 ) -> tuple[np.ndarray, dict[str, bool]]:
     """Inverse information; what is not determined gets infinite rows and columns.
 
@@ -246,17 +267,36 @@ def _covariance(
     spread = np.array([np.ptp(declared[name].typical) for name in names]) / math.sqrt(12)
     if not finite:
         return np.full((len(names), len(names)), np.inf), dict.fromkeys(names, False)
-    scaled = information * np.outer(spread, spread)
+    scaled = ends[0].finish.information * np.outer(spread, spread)
     # Directions of no information at all keep a variance of 1e16 instead of a division by zero.
     eigenvalues, vectors = np.linalg.eigh(scaled)
     relative = (vectors / np.maximum(eigenvalues, 1e-16)) @ vectors.T
     known = np.sqrt(np.diag(relative)) < _DETERMINED
-    # Ribs that are not there have no frequency, whatever the curvature says.
-    if {"rib_frequency", "rib_amplitude"} <= set(names):
-        frequency, amplitude = names.index("rib_frequency"), names.index("rib_amplitude")
-        known[frequency] &= known[amplitude]
+    for name in _doubtful_ribs(names, known, ends):
+        known[names.index(name)] = False
     covariance = np.where(np.outer(known, known), relative * np.outer(spread, spread), np.inf)
     return covariance, dict(zip(names, map(bool, known), strict=True))
+
+
+def _doubtful_ribs(names: tuple[str, ...], known: np.ndarray, ends: list[Settled]) -> list[str]:
+    """Rib parameters that the local information is too sure of.
+
+    Ribs that are not there have no frequency, whatever the curvature of the cost says; and where
+    another frequency fits almost as well, neither is known, nor how high the ribs are.
+    """
+    ribs = [name for name in ("rib_frequency", "rib_amplitude") if name in names]
+    if "rib_frequency" not in ribs:
+        return []
+    best = float(ends[0].model.rib_frequency)
+    rivals = [
+        end
+        for end in ends[1:]
+        if abs(float(end.model.rib_frequency) - best) > 0.5
+        and end.chi2 - ends[0].chi2 < _CLEAR_LEAD
+    ]
+    if rivals:
+        return ribs
+    return ["rib_frequency"] if not known[names.index(ribs[-1])] else []
 
 
 def _bound_warnings(
@@ -282,16 +322,22 @@ def _distance_warnings(
     found = []
     if noise is not None and rms > 1.5 * noise:
         found.append(f"distances are {rms / noise:.1f} times the given noise")
-    if rms > _MISFIT * cloud.diagonal:
+    gross = int(np.count_nonzero(used > _GROSS * max(typical, 1e-12 * cloud.diagonal)))
+    if gross:
         found.append(
-            f"distances are {100 * rms / cloud.diagonal:.1f} % of the target's diagonal: the target is "
-            "not in the model's frame, or no petal of this model"
+            f"{gross} points lie beyond {_GROSS:g} times the typical distance; remove strays, or give "
+            "them weight 0"
         )
-    else:
-        gross = int(np.count_nonzero(used > _GROSS * max(typical, 1e-12 * cloud.diagonal)))
-        if gross:
-            found.append(
-                f"{gross} points lie beyond {_GROSS:g} times the typical distance; remove strays, or "
-                "give them weight 0"
-            )
     return found
+
+
+def _coverage_warnings(best: Settled, weights: np.ndarray) -> list[str]:
+    """A part of the surface without data, seen in 4 × 4 parts of the domain."""
+    (u_low, u_high), (v_low, v_high) = best.model.domain
+    used = np.flatnonzero(weights > 0)
+    u, v = best.finish.uv[used].T
+    counts, *_ = np.histogram2d(u, v, bins=4, range=[[u_low, u_high], [v_low, v_high]])
+    empty = np.count_nonzero(counts == 0) / counts.size
+    if empty <= _EMPTY or len(used) < 8 * counts.size:
+        return []
+    return [f"{100 * empty:.0f} % of the surface has no data; there it is extrapolated"]

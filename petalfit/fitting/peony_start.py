@@ -7,6 +7,7 @@ periodogram of the residual heights finds them all at once.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import equinox as eqx
@@ -17,6 +18,7 @@ from jaxtyping import Array, Bool, Float
 from scipy.stats import qmc
 
 from petalfit.components import PeonyPetal, parameters
+from petalfit.surfaces import Scalar
 
 OUTLINE = ("a_x", "b_y", "c")
 HEIGHTS = ("c_z", "dx", "dy", "midrib_height", "tip_curl")
@@ -30,7 +32,7 @@ _FREQUENCIES = np.arange(2.0, 56.0, 0.25)
 _TYPICAL = {name: parameters(PeonyPetal)[name].typical for name in OUTLINE}
 _LOW, _HIGH = np.array(list(_TYPICAL.values())).T
 _BOUNDS = np.array([parameters(PeonyPetal)[name].bounds for name in OUTLINE]).T
-_SOBOL = qmc.Sobol(3, scramble=True, seed=0).random(max(_GENERATIONS))
+_SOBOL = qmc.Sobol(3, scramble=False).random(max(_GENERATIONS))
 _EDGE = np.linspace(-0.5, 0.5, 25)
 _OUTLINE_UV = np.concatenate(
     [
@@ -50,11 +52,9 @@ def flat(petal: PeonyPetal, outline: Float[Array, "3"] | None = None) -> PeonyPe
     return with_values(petal, dict(zip(OUTLINE, jnp.unstack(outline), strict=True)))
 
 
-def with_values(petal: PeonyPetal, values: dict[str, Array]) -> PeonyPetal:
+def with_values(petal: PeonyPetal, values: Mapping[str, Scalar]) -> PeonyPetal:
     """The petal with some of its parameters replaced."""
-    return eqx.tree_at(
-        lambda p: [getattr(p, name) for name in values], petal, [*values.values()]
-    )
+    return eqx.tree_at(lambda p: [getattr(p, name) for name in values], petal, [*values.values()])
 
 
 def fit_outline(
@@ -82,7 +82,7 @@ def fit_outline(
 
     @jax.vmap
     def score(outline: Array) -> Array:
-        edge = flat(petal, outline).position(*_OUTLINE_UV.T)[:, :2]
+        edge = flat(petal, outline)(*_OUTLINE_UV.T)[:, :2]
         return jnp.sum(jnp.log1p(((jnp.max(along(edge), 0) - target) / tolerance) ** 2))
 
     given = jnp.stack([getattr(petal, name) for name in OUTLINE])
@@ -119,7 +119,7 @@ def fit_heights(
     basis = columns * moves
     heights = points[:, 2] - columns @ (given * (1 - moves))
 
-    def reweighted(_: int, amplitudes: Array) -> Array:
+    def reweighted(_: Array, amplitudes: Array) -> Array:
         residual = heights - basis @ amplitudes
         scale = jnp.sum(weights * jnp.abs(residual)) / jnp.sum(weights) + 1e-300
         robust = weights / (1 + (residual / scale) ** 2)

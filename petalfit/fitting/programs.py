@@ -49,32 +49,37 @@ nearest = jax.jit(nearest_nodes)
 refine = jax.jit(refine_foot_points)
 
 
-def feet(model: PeonyPetal, points: Float[Array, "n 3"]) -> Float[Array, "n 2"]:
-    """Foot points from nothing, for a petal in a known pose: below the point, then downhill.
+def plane_feet(petal: PeonyPetal, points: Float[Array, "n 3"]) -> Float[Array, "n 2"]:
+    """(u, v) of a petal straight below or above the points: a start for their foot points.
 
-    Straight to the nearest place of the surface, many would end on the wrong rib.
+    Sought at the nearest place of the surface itself, many would end on the wrong rib.
     """
-    return refine(model, points, plane_feet(peony_start.flat(model), points), 3)
-
-
-def plane_feet(flat: PeonyPetal, points: Float[Array, "n 3"]) -> Float[Array, "n 2"]:
-    """(u, v) of a flat petal below the points: the inverse of the outline's map of the plane."""
+    flat = peony_start.flat(petal)
     below = points * jnp.array([1.0, 1.0, 0.0])
     return refine(flat, below, nearest(flat, below), 6)
 
 
-def finish(coordinates: Coordinates, data: Data, state: State) -> Finish:
-    """Remove the bias, and look at the result with converged foot points."""
+def finish(coordinates: Coordinates[PeonyPetal], data: Data, state: State, sample: Data) -> Finish:
+    """Remove the bias, and look at the result with converged foot points.
+
+    Args:
+        coordinates: The free parameters.
+        data: The cloud.
+        state: Where the solver stopped.
+        sample: The cloud, or a part of it that is large enough to measure the bias on.
+    """
     model = coordinates.model(state.t)
-    uv = refine(model, data.points, state.uv, 2)
+    uv = refine(model, data.points, state.uv, 1)
+    places = uv
+    if sample is not data:
+        places = refine(model, sample.points, plane_feet(model, sample.points), 3)
     scores = [
-        _distance_score(model, points, refine(model, points, uv, 3), data.weights)
-        for points in _perturbations(model, uv, state.sigma)
+        _distance_score(model, points, refine(model, points, places, 3), sample.weights)
+        for points in _perturbations(model, places, state.sigma)
     ]
-    t, matrix = _unbiased(coordinates, data, state.t, uv, scores)
-    model = coordinates.model(t)
-    uv = refine(model, data.points, uv, 1)
-    distance, beyond = _distances(model, data.points, uv)
+    t, matrix = _unbiased(coordinates, data, state.t, uv, scores, sample.weights)
+    # The foot points move only along the surface, which changes no distance to first order.
+    distance, beyond = _distances(coordinates.model(t), data.points, uv)
     return Finish(coordinates.values(t), matrix, distance, beyond, uv)
 
 
@@ -84,11 +89,17 @@ _distance_score = jax.jit(distance_score)
 
 @jax.jit
 def _unbiased(
-    coordinates: Coordinates, data: Data, t: Array, uv: Array, scores: list[AbstractSurface]
+    coordinates: Coordinates,
+    data: Data,
+    t: Array,
+    uv: Array,
+    scores: list[AbstractSurface],
+    sample_weights: Array,
 ) -> tuple[Array, Array]:
     """Coordinates moved by the bias, and the information of the free parameters there."""
     matrix, sigma = information(coordinates, data, t, uv)
-    score = 0.5 * sum(coordinates.gather(score) for score in scores) / sigma**2
+    share = jnp.sum(sample_weights) / jnp.sum(data.weights)
+    score = 0.5 * sum(coordinates.gather(score) for score in scores) / (share * sigma**2)
     ridge = jnp.eye(len(t))  # the information of the typical ranges
     step = jnp.linalg.solve(matrix + ridge, coordinates.slopes(t) * score)
     # A bias of more than a few standard errors is not a small correction any more.

@@ -87,8 +87,9 @@ class FitResult:
         distances: Signed normal distance of every datum (+ on the side of the normal), or its distance
             to the edge where it lies beyond; in the target's unit, shape (n,).
         weights: The weight every datum had in the fit, shape (n,).
-        converged: Whether the solver settled on a finite minimum.
-        status: "converged", "round_limit" or "not_finite".
+        converged: Whether the solver settled, on a surface that follows the target.
+        status: "converged"; "round_limit": it did not settle; "misfit": distances are far larger than
+            any noise; "not_finite".
         message: What a reader should know, in words; the warnings among them.
         warnings: Reasons not to trust the result blindly; empty if there are none.
         steps: Rounds of the final solve.
@@ -134,10 +135,10 @@ class FitResult:
 
     def mesh(self, resolution: tuple[int, int] = (65, 65)) -> trimesh.Trimesh:
         """The fitted surface as a triangle mesh with UVs, in the target's frame."""
-        mesh = self.model.mesh(resolution)
-        vertices = self.pose.scale * mesh.vertices @ self.pose.rotation.T + self.pose.translation
-        mesh.vertices = vertices
-        return mesh
+        matrix = np.eye(4)
+        matrix[:3, :3] = self.pose.scale * self.pose.rotation
+        matrix[:3, 3] = self.pose.translation
+        return self.model.mesh(resolution).apply_transform(matrix)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write everything as JSON, lossless; `load` gives it back. Whole or not at all."""
@@ -155,7 +156,9 @@ class FitResult:
             with open(path, encoding="utf-8") as file:
                 content = json.load(file)
         except (OSError, ValueError) as error:
-            raise TargetError(f"{os.fspath(path)} cannot be read as a fit result: {error}") from None
+            raise TargetError(
+                f"{os.fspath(path)} cannot be read as a fit result: {error}"
+            ) from None
         if not isinstance(content, dict) or content.get("format") != FORMAT:
             raise TargetError(f"{os.fspath(path)} is not a fit result; `petalfit fit` writes them.")
         if content.get("version") != VERSION:
@@ -191,21 +194,23 @@ class FitResult:
     def _from_json(cls, content: dict[str, Any]) -> FitResult:
         fields = {name: _decode(value) for name, value in content.items()}
         model = getattr(components, content["model"])
-        target = {k: None if v is None else np.array(v) for k, v in fields["target"].items()}
-        pose = {k: np.array(v) if k != "scale" else v for k, v in fields["pose"].items()}
+        target = fields["target"]
+        pose = fields["pose"]
         kept = {field.name for field in dataclasses.fields(cls)} & fields.keys()
         return cls(
             **{name: fields[name] for name in kept}
             | {
                 "model": model(**{name: fields["values"][name] for name in parameters(model)}),
-                "pose": Pose(**pose),
+                "pose": Pose(
+                    np.array(pose["rotation"]), np.array(pose["translation"]), pose["scale"]
+                ),
                 "names": tuple(fields["names"]),
                 "covariance": np.array(fields["covariance"], float),
                 "distances": np.array(fields["distances"], float),
                 "weights": np.array(fields["weights"], float),
                 "warnings": tuple(fields["warnings"]),
                 "starts": tuple(Start(**start) for start in fields["starts"]),
-                "target": PointCloud(**target),
+                "target": PointCloud(target["points"], target["normals"], target["weights"]),
             }
         )
 

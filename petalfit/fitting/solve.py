@@ -31,6 +31,7 @@ from petalfit.surfaces import AbstractSurface
 _GAIN = 15.0
 # Edges are looked at for the nearest quarter of the points, but never for fewer than this.
 _FEW = 256
+_JUMPING_ROUNDS = 8
 
 
 class Data(NamedTuple):
@@ -55,7 +56,8 @@ class State(NamedTuple):
         uv: Foot points.
         sigma: Noise, given or estimated from the distances.
         rounds: How many rounds were made.
-        moved: The last round's step in units of the standard errors, the largest over the parameters.
+        moved: The last round's step in units of the standard errors, the largest over the directions.
+        gain: What residuals are multiplied by, in effect the inverse of the damping.
     """
 
     t: Float[Array, " p"]
@@ -63,6 +65,7 @@ class State(NamedTuple):
     sigma: Float[Array, ""]
     rounds: Int[Array, ""]
     moved: Float[Array, ""]
+    gain: Float[Array, ""]
 
 
 class _Frozen(NamedTuple):
@@ -79,6 +82,7 @@ class _Frozen(NamedTuple):
     sigma: Array
     near: Array  # indices of the points that may lie near an edge
     tilt: Array
+    gain: Array
     origin: Array
     whitening: Array
 
@@ -91,8 +95,8 @@ def solve(
     data: Data,
     t: Float[Array, " p"],
     uv: Float[Array, "n 2"],
-    max_rounds: int,
-    tolerance: float,
+    max_rounds: int | Int[Array, ""],
+    tolerance: float | Float[Array, ""],
 ) -> State:
     """Minimise Σ d²/2σ² − Σ log Φ(−e/σ) + Σ log Area over the free parameters.
 
@@ -111,7 +115,6 @@ def solve(
     Returns:
         The state after the last round. Its `uv` belong to the parameters before the last step.
     """
-
     whiten = _whitening(coordinates, data, t, uv)
 
     def go_on(state: State) -> Bool[Array, ""]:
@@ -119,29 +122,46 @@ def solve(
 
     def one_round(state: State) -> State:
         model = coordinates.model(state.t)
-        uv = refine_foot_points(model, data.points, state.uv, iterations=2)
-        frozen = _freeze(coordinates, data, state.t, uv, whiten)
+        # Later, a foot point that jumps to and fro between two sheets must not keep the rest moving.
+        jump = state.rounds < _JUMPING_ROUNDS
+        uv = refine_foot_points(model, data.points, state.uv, 2, elsewhere=jump)
+        frozen = _freeze(coordinates, data, state.t, uv, whiten, state.gain)
+        stay = jnp.zeros_like(state.t)
         solution = optx.least_squares(
             _residuals,
             optx.LevenbergMarquardt(rtol=1e-2, atol=1e-2, linear_solver=lx.Normal(lx.Cholesky())),
-            jnp.zeros_like(state.t),
+            stay,
             frozen,
-            max_steps=12,
+            max_steps=6,
             throw=False,
         )
         z = jnp.where(jnp.isfinite(solution.value).all(), solution.value, 0.0)
-        return State(frozen.place(z), uv, frozen.sigma, state.rounds + 1, jnp.max(jnp.abs(z)))
+        # No step was short enough to help: damp more, unless there is nowhere to go.
+        stuck = jnp.all(z == 0)
+        moved = jax.lax.cond(
+            stuck,
+            lambda: (
+                jnp.max(jnp.abs(_jacobian(stay, frozen).T @ _residuals(stay, frozen)))
+                / state.gain**2
+            ),
+            lambda: jnp.max(jnp.abs(z)),
+        )
+        # Halved steps, later, calm a point that flips between two rounds.
+        z = jnp.where(state.rounds < _JUMPING_ROUNDS, z, 0.5 * z)
+        gain = jnp.where(stuck, state.gain / 8, jnp.minimum(state.gain * 2, _GAIN))
+        return State(frozen.place(z), uv, frozen.sigma, state.rounds + 1, moved, gain)
 
-    start = State(t, uv, data.sigma, jnp.array(0), jnp.array(jnp.inf, t.dtype))
+    infinite, gain = jnp.array(jnp.inf, t.dtype), jnp.array(_GAIN, t.dtype)
+    start = State(t, uv, data.sigma, jnp.array(0), infinite, gain)
     return jax.lax.while_loop(go_on, one_round, start)
 
 
 def estimate_sigma(data: Data, distance: Float[Array, " n"], free: int) -> Float[Array, ""]:
-    """√(Σ w d² / (Σ w − p)), or the noise that was given; never exactly zero."""
+    """√(Σ w d² / (Σ w − p)), or the noise that was given; never below 1e-9 of the extent."""
     count = jnp.sum(data.weights)
     variance = jnp.sum(data.weights * distance**2) / jnp.maximum(count - free, 1)
     extent = jnp.max(jnp.abs(data.points))
-    estimated = jnp.maximum(jnp.sqrt(variance), 1e-13 * extent)
+    estimated = jnp.maximum(jnp.sqrt(variance), 1e-9 * extent)
     return jnp.where(jnp.isnan(data.sigma), estimated, data.sigma)
 
 
@@ -182,6 +202,7 @@ def _freeze(
     t: Array,
     uv: Array,
     whiten: Callable[[Array], Array],
+    gain: Array,
 ) -> _Frozen:
     model = coordinates.model(t)
     here = frame(model, uv)
@@ -192,16 +213,14 @@ def _freeze(
     _, near = jax.lax.top_k(beyond, max(len(uv) // 4, min(len(uv), _FEW)))
     whitening = whiten(sigma)
     pull = coordinates.gather(edge_pull(model, uv, data.weights)) * coordinates.slopes(t)
-    return _Frozen(
-        coordinates, data, uv, here, sigma, near, whitening.T @ pull, t, whitening
-    )
+    return _Frozen(coordinates, data, uv, here, sigma, near, whitening.T @ pull, gain, t, whitening)
 
 
 @jax.custom_jvp
 def _residuals(z: Array, frozen: _Frozen) -> Array:
     distance, beyond, _ = _decompose(z, frozen)
     edge = jnp.linalg.norm(edge_residual(beyond), axis=-1)
-    return _GAIN * jnp.concatenate(
+    return frozen.gain * jnp.concatenate(
         [
             jnp.sqrt(frozen.data.weights) * distance,
             jnp.sqrt(frozen.data.weights[frozen.near]) * edge,
@@ -240,7 +259,7 @@ def _jacobian(z: Array, frozen: _Frozen) -> Array:
     pulled = frozen.coordinates.gather(pull_back(model, frozen.uv[rows], covectors))
     pulled = pulled * frozen.coordinates.slopes(frozen.place(z)) @ frozen.whitening
     tilt = frozen.tilt / jnp.sqrt(2 * _constant(frozen))
-    return _GAIN * jnp.concatenate([pulled, tilt[None]])
+    return frozen.gain * jnp.concatenate([pulled, tilt[None]])
 
 
 def _constant(frozen: _Frozen) -> float:

@@ -72,5 +72,5 @@ def _dot(a: Array, b: Array) -> Array:
 
 
 def _ratio(a: Array | float, b: Array) -> Array:
-    """a / b, zero where b vanishes (a degenerate tangent)."""
+    """A / b, zero where b vanishes (a degenerate tangent)."""
     return jnp.where(b > 0, a / jnp.where(b > 0, b, 1.0), 0.0)

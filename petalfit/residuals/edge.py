@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import log_ndtr
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from petalfit.residuals.contact import frame, pull_back
 from petalfit.surfaces import AbstractSurface
@@ -94,9 +94,7 @@ def _density(surface: AbstractSurface, uv: Array, weights: Array) -> Array:
         place = jnp.clip(_CELLS * (x - low) / (high - low) - 0.5, 0.0, _CELLS - 1.0)
         return jnp.maximum(0.0, 1.0 - jnp.abs(place[:, None] - jnp.arange(_CELLS)))
 
-    counts = hats(uv[:, 0], u_low, u_high).T @ (
-        weights[:, None] * hats(uv[:, 1], v_low, v_high)
-    )
+    counts = hats(uv[:, 0], u_low, u_high).T @ (weights[:, None] * hats(uv[:, 1], v_low, v_high))
     grid = (jnp.arange(4 * _CELLS) + 0.5) / (4 * _CELLS)
     u, v = u_low + (u_high - u_low) * grid, v_low + (v_high - v_low) * grid
     element = surface.area_element(u[:, None], v[None, :])

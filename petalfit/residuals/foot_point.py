@@ -5,14 +5,12 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from petalfit.surfaces import AbstractSurface
 
 
-def nearest_nodes(
-    surface: AbstractSurface, points: Float[Array, "n 3"]
-) -> Float[Array, "n 2"]:
+def nearest_nodes(surface: AbstractSurface, points: Float[Array, "n 3"]) -> Float[Array, "n 2"]:
     """The nearest of 17 × 17 places in the domain: a coarse start for `refine_foot_points`."""
     (u_low, u_high), (v_low, v_high) = surface.domain
     fraction = (np.arange(_NODES) + 0.5) / _NODES
@@ -32,6 +30,7 @@ def refine_foot_points(
     points: Float[Array, "n 3"],
     uv: Float[Array, "n 2"],
     iterations: int | Int[Array, ""],
+    elsewhere: bool | Bool[Array, ""] = True,
 ) -> Float[Array, "n 2"]:
     """Minimisers of |S(u, v) − x| over the surface's domain, from the starts `uv`.
 
@@ -46,24 +45,51 @@ def refine_foot_points(
         points: Points x, in the surface's frame.
         uv: Start of every point, inside the domain.
         iterations: Newton steps for all; two from a good start, six from a coarse one.
+        elsewhere: Whether the farthest points look for a better place; without it, a foot point moves
+            only as its local minimum does.
 
     Returns:
         Foot points, never farther from `points` than `uv` was.
     """
     uv, moving, squared = _newton(surface, points, uv, iterations)
-    few = min(len(uv), max(_FEW, len(uv) // 32))
-    _, late = jax.lax.top_k(moving, few)
-    _, far = jax.lax.top_k(squared, few)
-    both = jnp.concatenate([late, far])
-    starts = jnp.concatenate([uv[late], nearest_nodes(surface, points[far])])
-    refined, _, reached = _newton(surface, points[both], starts, 8)
-    uv, squared = uv.at[late].set(refined[:few]), squared.at[late].set(reached[:few])
-    closer = (reached[few:] < squared[far])[:, None]
-    return uv.at[far].set(jnp.where(closer, refined[few:], uv[far]))
+    n = len(uv)
+    _, late = jax.lax.top_k(moving, min(n, max(32, n // 32)))
+    _, far = jax.lax.top_k(squared, min(n, max(32, n // 64)))
+    others = _places_to_look(surface, points[far])
+    starts = jnp.concatenate([uv[late], *others])
+    rows = jnp.concatenate([late, *[far] * len(others)])
+    refined, _, reached = _newton(surface, points[rows], starts, 8)
+    uv, squared = uv.at[late].set(refined[: len(late)]), squared.at[late].set(reached[: len(late)])
+    rivals = reached[len(late) :].reshape(len(others), len(far))
+    closest = jnp.argmin(rivals, axis=0)
+    better = jnp.take_along_axis(rivals, closest[None], axis=0)[0] < squared[far]
+    better &= elsewhere
+    found = refined[len(late) :].reshape(*rivals.shape, 2)[closest, jnp.arange(len(far))]
+    return uv.at[far].set(jnp.where(better[:, None], found, uv[far]))
+
+
+def _places_to_look(surface: AbstractSurface, points: Array) -> Array:
+    """Starts in different parts of the domain, shape (4, n, 2): the nearest node of each part.
+
+    Where a surface folds over itself, the nearest node of all may lie on the wrong sheet.
+    """
+    (u_low, u_high), (v_low, v_high) = surface.domain
+    fraction = (jnp.arange(64) + 0.5) / 64
+    u, v = u_low + (u_high - u_low) * fraction, v_low + (v_high - v_low) * fraction
+    uv = jnp.stack(jnp.meshgrid(u, v, indexing="ij"), axis=-1)
+    uv = uv.reshape(8, 8, 8, 8, 2).transpose(0, 2, 1, 3, 4).reshape(64, 64, 2)  # parts, nodes
+    nodes = surface.position(uv[..., 0], uv[..., 1])
+
+    def look(x: Array) -> Array:
+        squared = jnp.sum(nodes**2, axis=-1) - 2.0 * nodes @ x
+        _, parts = jax.lax.top_k(-jnp.min(squared, axis=-1), 4)
+        return uv[parts, jnp.argmin(squared[parts], axis=-1)]
+
+    starts = jax.lax.map(look, points, batch_size=min(len(points), 256))
+    return jnp.swapaxes(starts, 0, 1)
 
 
 _NODES = 17
-_FEW = 32
 
 
 def _newton(
@@ -80,7 +106,7 @@ def _newton(
         value, gradient = jax.value_and_grad(half_squared_distance)(uv, x)
         return value, gradient, jax.hessian(half_squared_distance)(uv, x)
 
-    def step(_: int, state: tuple) -> tuple:
+    def step(_: Array, state: tuple) -> tuple:
         uv, move, value, gradient, hessian, damping = state
         trial = jnp.clip(uv + move, low, high)
         expansion = expand(trial, points)

@@ -50,7 +50,9 @@ def _area_uniform(
     surface: AbstractSurface, n: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     low, high = np.array(surface.domain).T
-    u, v = (np.linspace(*side, cells + 1) for side, cells in zip(surface.domain, _CELLS, strict=True))
+    u, v = (
+        np.linspace(*side, cells + 1) for side, cells in zip(surface.domain, _CELLS, strict=True)
+    )
     corners = np.asarray(_AREA_ELEMENT(surface, u[:, None], v[None, :]))
     envelope = _MARGIN * np.maximum.reduce(
         [corners[:-1, :-1], corners[1:, :-1], corners[:-1, 1:], corners[1:, 1:]]

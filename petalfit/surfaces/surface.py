@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple, TypeAlias
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Real
 
 if TYPE_CHECKING:
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
 # A parameter's value. Leaves stay as they are given: a Python float keeps its 64 bits whatever
 # precision jax computes in.
-Scalar: TypeAlias = Real[ArrayLike, ""]
+Scalar: TypeAlias = float | int | np.floating | Real[Array, ""] | Real[np.ndarray, ""]
 
 
 class Domain(NamedTuple):
@@ -41,7 +42,7 @@ class AbstractSurface(eqx.Module):
             care that poles need (half the cost of a deformed surface's derivatives).
     """
 
-    domain: eqx.AbstractClassVar[Domain]
+    domain: ClassVar[Domain]
     orientation: ClassVar[float] = 1.0
     regular: ClassVar[bool] = False
 
@@ -51,7 +52,9 @@ class AbstractSurface(eqx.Module):
     ) -> Float[Array, "*shape 3"]:
         """The map itself, for u and v of one shape."""
 
-    def __call__(self, u: Real[ArrayLike, "..."], v: Real[ArrayLike, "..."]) -> Float[Array, "... 3"]:
+    def __call__(
+        self, u: Real[ArrayLike, "..."], v: Real[ArrayLike, "..."]
+    ) -> Float[Array, "... 3"]:
         """Points S(u, v).
 
         Args:

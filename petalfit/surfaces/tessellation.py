@@ -28,6 +28,7 @@ def tessellate(surface: AbstractSurface, resolution: tuple[int, int] = (65, 65))
         ValueError: The resolution is too small.
     """
     import trimesh
+    from trimesh.visual import TextureVisuals
 
     n_u, n_v = resolution
     if n_u < 2 or n_v < 2:
@@ -50,7 +51,7 @@ def tessellate(surface: AbstractSurface, resolution: tuple[int, int] = (65, 65))
         vertices,
         faces if surface.orientation > 0 else faces[:, ::-1],
         vertex_normals=normals,
-        visual=trimesh.visual.TextureVisuals(uv=uv),
+        visual=TextureVisuals(uv=uv),
         process=False,
     )
 

@@ -1,0 +1,151 @@
+"""What a person sees in the terminal: progress, tables, warnings."""
+
+import math
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+if TYPE_CHECKING:
+    from petalfit.fitting import FitResult
+
+NOT_DETERMINED = "not determined"
+
+
+def output() -> Console:
+    """For results."""
+    return _console(stderr=False)
+
+
+def errors() -> Console:
+    """For warnings and progress, which must not end up in a file with the results."""
+    return _console(stderr=True)
+
+
+def _console(*, stderr: bool) -> Console:
+    stream = sys.stderr if stderr else sys.stdout
+    # σ and ± are in few of the encodings that Windows gives to a pipe.
+    if hasattr(stream, "reconfigure"):
+        stream.reconfigure(errors="replace")  # pyright: ignore[reportAttributeAccessIssue]
+    return Console(stderr=stderr, highlight=False)
+
+
+@contextmanager
+def progress(quiet: bool) -> Iterator[Callable[[str], None]]:
+    """Yields a function that shows what is being done; it does nothing if nobody is looking.
+
+    Args:
+        quiet: show nothing in a terminal either.
+
+    Yields:
+        A function of a line of text.
+    """
+    console = errors()
+    if quiet or not console.is_terminal:
+        yield lambda text: None
+        return
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (
+        SpinnerColumn(),
+        TextColumn("{task.description}", markup=False),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task("starting", total=None)
+        yield lambda text: bar.update(task, description=text)
+
+
+def with_error(value: float, error: float) -> tuple[str, str]:
+    """A value and its standard error as text, both to two significant digits of the error.
+
+    An error that is infinite, or not known, leaves six digits of the value and no error.
+    """
+    from petalfit.report.rounding import decimals_of
+
+    if not (math.isfinite(value) and math.isfinite(error) and error > 0):
+        return f"{value:.6g}", ""
+    decimals = decimals_of(error)
+    return f"{value:.{decimals}f}", f"{error:.{decimals}f}"
+
+
+def fit_table(result: "FitResult", truth: dict[str, float] | None = None) -> Table:
+    """The parameters of a fit with their errors.
+
+    Args:
+        result: what was fitted.
+        truth: if it is known, two more columns: the truth, and how many errors the fit is from it.
+
+    Returns:
+        A table, a row for each parameter of the model.
+    """
+    from petalfit.components import parameters
+
+    table = Table(header_style="bold")
+    table.add_column("parameter")
+    if truth is not None:
+        table.add_column("truth", justify="right")
+    table.add_column("value", justify="right")
+    table.add_column("± error", justify="right")
+    if truth is not None:
+        table.add_column("off by", justify="right")
+    table.add_column("unit")
+    for name, parameter in parameters(result.model).items():
+        value = result.values[name]
+        error = result.stderr.get(name, math.inf)
+        shown, shown_error = with_error(value, error)
+        style = None
+        if name not in result.names:
+            shown_error, style = "fixed", "dim"
+        elif not result.identifiable[name]:
+            shown_error, style = NOT_DETERMINED, "yellow"
+        known = truth is not None and math.isfinite(error)
+        off = f"{abs(value - truth[name]) / error:.1f} σ" if truth is not None and known else ""
+        cells = [name, shown, shown_error, "" if parameter.unit == "1" else parameter.unit]
+        if truth is not None:
+            cells[3:3] = [off]
+            cells[1:1] = [f"{truth[name]:.6g}"]
+        table.add_row(*cells, style=style)
+    return table
+
+
+def summarise(result: "FitResult", noise: float | None) -> str:
+    """One line: how well the surface fits, and how the fit ended.
+
+    Args:
+        result: what was fitted.
+        noise: the noise that the user gave, if any.
+    """
+    origin = "estimated" if noise is None else "given"
+    return (
+        f"{len(result.target)} points, rms distance {result.rms:.3g}, noise {result.noise:.3g} "
+        f"({origin}); {outcome(result)}"
+    )
+
+
+def outcome(result: "FitResult") -> str:
+    """How the fit ended, without its warnings."""
+    return result.message.removesuffix("".join(f"; {warning}" for warning in result.warnings))
+
+
+def list_files(folder: Path, contents: dict[str, str]) -> None:
+    """Says where the files are, and what each is for."""
+    width = max(len(str(folder / name)) for name in contents)
+    for name, what in contents.items():
+        line = f"{folder / name!s:<{width}}  {what}"
+        output().print(line, soft_wrap=True, markup=False)
+
+
+def warn(result: "FitResult") -> None:
+    """Every reason not to trust the result, where it is seen even if the output is not."""
+    console = errors()
+    for warning in result.warnings:
+        console.print(Text(f"warning: {warning}", style="yellow"), soft_wrap=True)
+    if not result.converged:
+        sentence = f"{outcome(result)}; the files hold what it ended with"
+        console.print(Text(f"petalfit: {sentence}", style="bold yellow"), soft_wrap=True)

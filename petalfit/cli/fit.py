@@ -1,0 +1,109 @@
+"""`petalfit fit`: from a file to named parameters, a mesh and a report."""
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from tyro.conf import Positional, UseAppendAction, arg
+
+from petalfit.cli.failure import require
+
+if TYPE_CHECKING:
+    from petalfit.components import PeonyPetal
+
+
+def fit(
+    target: Annotated[
+        Positional[Path],
+        arg(
+            metavar="TARGET",
+            help="Point cloud (.ply .xyz .txt .csv .npy .npz) or mesh (.ply .obj .stl .glb .gltf), "
+            "in the frame and unit of the model: its base at the origin, its tip towards +y, its "
+            "width along x.",
+        ),
+    ],
+    out: Annotated[
+        Path,
+        arg(
+            metavar="DIR",
+            help="Folder for fit.json, fit.glb and report.html; made if it does not exist. All of "
+            "them are written or none.",
+        ),
+    ],
+    free: Annotated[
+        UseAppendAction[tuple[str, ...]],
+        arg(
+            metavar="NAME",
+            help="Parameter to fit; repeat it, or separate names by commas. The others keep their "
+            "defaults, or the values of --init. Without it all are fitted that `petalfit "
+            "parameters` does not call fixed.",
+        ),
+    ] = (),
+    init: Annotated[
+        Path | None,
+        arg(metavar="FIT.json", help="An earlier result to start from, instead of searching."),
+    ] = None,
+    noise: Annotated[
+        float | None,
+        arg(
+            metavar="SIGMA",
+            help="Standard deviation of the points, in their unit; estimated if not given.",
+        ),
+    ] = None,
+    seed: Annotated[
+        int, arg(metavar="S", help="Of the random choice of points to start with.")
+    ] = 0,
+    quiet: Annotated[bool, arg(help="Print warnings only.")] = False,
+) -> int:
+    """Recover the parameters of a petal from a scan."""
+    require(
+        noise is None or (math.isfinite(noise) and noise > 0),
+        f"--noise {noise} is no standard deviation; give a positive number, or leave it out.",
+    )
+    require(seed >= 0, f"--seed {seed} is negative; give 0 or more.")
+    from petalfit.cli.compilation_cache import compilation_cache
+    from petalfit.cli.console import fit_table, list_files, output, progress, summarise, warn
+    from petalfit.cli.folder import check_folder, written_whole
+    from petalfit.cli.results import CONTENTS, write_results
+    from petalfit.observations import PointCloud
+
+    check_folder(out)
+    with progress(quiet) as show:
+        show(f"reading {target}")
+        cloud = PointCloud.load(target)
+        with compilation_cache() as compiled:
+            from petalfit.fitting import fit_petal
+
+            again = "" if compiled else " (compiling, which only the first fit needs)"
+            result = fit_petal(
+                cloud,
+                free=_names(free),
+                init=None if init is None else _model(init),
+                noise=noise,
+                seed=seed,
+                throw=False,
+                progress=lambda text: show(text + again),
+            )
+            show(f"writing {out}")
+            with written_whole(out) as folder:
+                write_results(result, folder)
+    if not quiet:
+        console = output()
+        console.print(fit_table(result))
+        console.print(summarise(result, noise), soft_wrap=True)
+        list_files(out, CONTENTS)
+    warn(result)
+    return 0 if result.converged else 3
+
+
+def _names(free: tuple[str, ...]) -> list[str] | None:
+    """`--free a_x --free b_y` and `--free a_x,b_y` mean the same."""
+    if not free:
+        return None
+    return [name for text in free for name in text.replace(",", " ").split()]
+
+
+def _model(path: Path) -> "PeonyPetal":
+    from petalfit.fitting import FitResult
+
+    return FitResult.load(path).model  # pyright: ignore[reportReturnType] - fit_petal checks it

@@ -1,0 +1,48 @@
+"""`petalfit parameters`: what there is to fit."""
+
+import dataclasses
+import inspect
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from petalfit.cli.failure import require
+
+
+def parameters(
+    model: Annotated[
+        Positional[str], arg(metavar="MODEL", help="Name of a component.")
+    ] = "PeonyPetal",
+) -> int:
+    """List the parameters of a model."""
+    from rich import box
+    from rich.table import Table
+
+    from petalfit import components
+    from petalfit.cli.console import output
+    from petalfit.surfaces import AbstractSurface
+
+    # Each from its own declaration, so that nothing here has to know them.
+    kinds = {
+        name: kind
+        for name, kind in vars(components).items()
+        if inspect.isclass(kind) and issubclass(kind, AbstractSurface)
+    }
+    require(model in kinds, f"there is no model {model!r}; the models are {', '.join(kinds)}.")
+    kind = kinds[model]
+    defaults = {field.name: field.default for field in dataclasses.fields(kind)}
+    table = Table(box=box.SIMPLE_HEAD, header_style="bold", pad_edge=False, padding=(0, 1, 0, 0))
+    for heading in ("name", "symbol", "unit"):
+        table.add_column(heading)
+    table.add_column("default", justify="right")
+    table.add_column("range\ntypical", justify="right")
+    table.add_column("meaning")
+    for name, parameter in components.parameters(kind).items():
+        unit = "" if parameter.unit == "1" else parameter.unit
+        meaning = parameter.meaning + (" (fixed unless freed)" if parameter.fixed else "")
+        spans = (f"{low:g} … {high:g}" for low, high in (parameter.bounds, parameter.typical))
+        table.add_row(
+            name, parameter.symbol, unit, f"{defaults[name]:g}", "\n".join(spans), meaning
+        )
+    output().print(table)
+    return 0

@@ -1,0 +1,120 @@
+"""`petalfit synth`: a cloud or a mesh from named parameters."""
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from tyro.conf import UseAppendAction, arg
+
+from petalfit.cli.failure import CommandError, require
+
+if TYPE_CHECKING:
+    from petalfit.components import PeonyPetal
+
+CLOUDS = (".ply", ".xyz", ".csv", ".npy", ".npz")
+MESHES = (".glb", ".obj", ".stl")
+
+
+def synth(
+    out: Annotated[
+        Path,
+        arg(
+            aliases=["-o"],
+            metavar="FILE",
+            help="What to write: a cloud (.ply .xyz .csv .npy .npz) or a mesh (.glb .obj .stl).",
+        ),
+    ],
+    settings: Annotated[
+        UseAppendAction[tuple[str, ...]],
+        arg(
+            name="set",
+            metavar="NAME=VALUE",
+            help="A parameter's value; repeat it. `petalfit parameters` lists names and defaults.",
+        ),
+    ] = (),
+    points: Annotated[
+        int | None, arg(metavar="N", help="How many points a cloud has; 1500 without it.")
+    ] = None,
+    noise: Annotated[
+        float, arg(metavar="SIGMA", help="Standard deviation of every coordinate of a cloud.")
+    ] = 0.0,
+    seed: Annotated[int, arg(metavar="S", help="Of points and noise.")] = 0,
+) -> int:
+    """Make a petal from named parameters, as a cloud or as a mesh."""
+    suffix = out.suffix.lower()
+    require(
+        suffix in CLOUDS + MESHES,
+        f"{out} has the unknown suffix {suffix!r}; clouds are {' '.join(CLOUDS)}, meshes "
+        f"{' '.join(MESHES)}.",
+    )
+    is_mesh = suffix in MESHES
+    require(
+        not (is_mesh and (noise or points is not None)),
+        f"{out} is a mesh, which has no --points and no --noise; a cloud is one of "
+        f"{' '.join(CLOUDS)}.",
+    )
+    require(points is None or points >= 3, f"--points {points} are too few; give 3 or more.")
+    require(
+        math.isfinite(noise) and noise >= 0,
+        f"--noise {noise} is no standard deviation; give 0 or more.",
+    )
+    require(seed >= 0, f"--seed {seed} is negative; give 0 or more.")
+    from petalfit.cli.compilation_cache import compilation_cache
+    from petalfit.cli.console import output
+
+    with compilation_cache():
+        petal = _petal(settings)
+        count = 1500 if points is None else points
+        try:
+            if is_mesh:
+                _write_mesh(petal, out)
+            else:
+                petal.sample(count, seed=seed, noise=noise).save(out)
+        except OSError as error:
+            reason = error.strerror or error
+            raise CommandError(f"{out} cannot be written ({reason}); nothing was.") from error
+    what = "mesh" if is_mesh else f"{count} points"
+    values = ", ".join(f"{name} {float(value):g}" for name, value in vars(petal).items())
+    output().print(f"{out}: {what} of a peony petal, {values}", soft_wrap=True, markup=False)
+    return 0
+
+
+def _petal(settings: tuple[str, ...]) -> "PeonyPetal":
+    from petalfit.components import PeonyPetal, parameters
+
+    declared = parameters(PeonyPetal)
+    values = {}
+    for setting in settings:
+        name, equals, text = setting.partition("=")
+        require(bool(equals), f"--set {setting} has no value; write --set {name or 'a_x'}=14.")
+        require(
+            name in declared,
+            f"--set {setting} names no parameter; the parameters are {', '.join(declared)}.",
+        )
+        try:
+            values[name] = float(text)
+        except ValueError:
+            raise CommandError(f"--set {setting} gives no number; write --set {name}=14.") from None
+        low, high = declared[name].bounds
+        require(
+            low < values[name] < high,
+            f"--set {setting} lies outside the range of {name}, which is ({low:g}, {high:g}).",
+        )
+    return PeonyPetal(**values)
+
+
+def _write_mesh(petal: "PeonyPetal", path: Path) -> None:
+    from petalfit.observations.atomic import atomic_path
+
+    kind = path.suffix.lower().removeprefix(".")
+    options = {"glb": {"include_normals": True}, "stl": {}}
+    options["obj"] = {"include_normals": True, "write_texture": False, "digits": 9}
+    content = petal.mesh().export(file_type=kind, **options[kind])
+    if isinstance(content, str):
+        # A material file, which trimesh names here, is not written.
+        lines = content.splitlines(keepends=True)
+        kept = (line for line in lines if not line.startswith(("mtllib ", "usemtl ")))
+        content = "".join(kept).encode()
+    assert isinstance(content, bytes)
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(content)

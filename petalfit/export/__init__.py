@@ -1,0 +1,5 @@
+"""Fits as files for other programs."""
+
+from petalfit.export.mesh import SUFFIXES as SUFFIXES
+from petalfit.export.mesh import export_glb as export_glb
+from petalfit.export.mesh import export_mesh as export_mesh

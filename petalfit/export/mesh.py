@@ -1,0 +1,162 @@
+"""The fitted surface as a mesh file: glTF with its parameters, or plain OBJ, PLY and STL."""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from petalfit import __version__  # pyright: ignore[reportAttributeAccessIssue]  # not lazy
+from petalfit.fitting.result import FitResult
+from petalfit.observations.atomic import atomic_path
+
+if TYPE_CHECKING:
+    import trimesh
+
+SUFFIXES = (".glb", ".obj", ".ply", ".stl")
+
+# A light rose, #ecaabe on a screen: glTF wants linear light, and trimesh writes factors as given.
+_COLOUR = [214, 103, 131, 255]
+_ROUGHNESS = 0.75
+
+
+def export_mesh(
+    result: FitResult, path: str | os.PathLike[str], resolution: tuple[int, int] = (65, 65)
+) -> None:
+    """Write the fitted surface in the target's frame, in the format that the suffix names.
+
+    - `.glb`: as `export_glb`.
+    - `.obj`: vertices, texture coordinates, normals.
+    - `.ply`: binary; vertices and normals.
+    - `.stl`: binary; bare triangles.
+
+    The file is written whole or not at all, and is the same to the byte for the same result.
+
+    Args:
+        result: The fit.
+        path: The file; an existing one is replaced.
+        resolution: Number of vertices along u and along v, at least 2 each.
+
+    Raises:
+        ValueError: The suffix is none of these, or the resolution is too small.
+        OSError: The file cannot be written.
+    """
+    from trimesh.exchange.ply import export_ply
+    from trimesh.exchange.stl import export_stl
+
+    suffix = Path(path).suffix.lower()
+    if suffix not in SUFFIXES:
+        raise ValueError(
+            f"{os.fspath(path)} has the suffix {suffix!r}; meshes are written as "
+            f"{' '.join(SUFFIXES)}."
+        )
+    if suffix == ".glb":
+        export_glb(result, path, resolution)
+        return
+    mesh = posed_mesh(result, resolution)
+    if suffix == ".obj":
+        _write(_obj(mesh, result).encode(), path)
+    elif suffix == ".ply":
+        _write(export_ply(mesh, vertex_normal=True), path)
+    else:
+        _write(export_stl(mesh), path)
+
+
+def export_glb(
+    result: FitResult, path: str | os.PathLike[str], resolution: tuple[int, int] = (65, 65)
+) -> None:
+    """Write the fitted surface in the target's frame as binary glTF.
+
+    A mesh with normals and texture coordinates and a matt, double-sided material, under a node
+    that is named after the model and holds the fit's numbers in its `extras`, as the function of
+    that name gives them. Lengths are in the target's unit, and its axes are kept. Written whole or
+    not at all; the same to the byte for the same result.
+
+    Args:
+        result: The fit.
+        path: The file; an existing one is replaced.
+        resolution: Number of vertices along u and along v, at least 2 each.
+
+    Raises:
+        ValueError: The resolution is too small.
+        OSError: The file cannot be written.
+    """
+    import trimesh
+    from trimesh.exchange.gltf import export_glb as to_bytes
+    from trimesh.visual import TextureVisuals
+    from trimesh.visual.material import PBRMaterial
+
+    mesh = posed_mesh(result, resolution)
+    assert isinstance(mesh.visual, TextureVisuals)
+    mesh.visual.material = PBRMaterial(
+        name="petal",
+        baseColorFactor=_COLOUR,
+        metallicFactor=0.0,
+        roughnessFactor=_ROUGHNESS,
+        doubleSided=True,
+    )
+    name = type(result.model).__name__
+    scene = trimesh.Scene()
+    scene.add_geometry(mesh, node_name=name, geom_name=name, metadata={"petalfit": extras(result)})
+    _write(to_bytes(scene, include_normals=True), path)
+
+
+def extras(result: FitResult) -> dict[str, Any]:
+    """The numbers of a fit as plain JSON, for glTF's `extras`.
+
+    Returns:
+        petalfit's version, the model's name, `parameters` by name (value, stderr, whether it is
+        free, whether the target determines it), noise, rms, whether the fit converged, and the
+        pose. What is not finite, and the error of what is not free, is None.
+    """
+    free = set(result.names)
+    return {
+        "version": __version__,
+        "model": type(result.model).__name__,
+        "parameters": {
+            name: {
+                "value": _finite(value),
+                "stderr": _finite(result.stderr.get(name, math.inf)),
+                "free": name in free,
+                "identifiable": result.identifiable.get(name),
+            }
+            for name, value in result.values.items()
+        },
+        "noise": _finite(result.noise),
+        "rms": _finite(result.rms),
+        "converged": result.converged,
+        "pose": {
+            "rotation": result.pose.rotation.tolist(),
+            "translation": result.pose.translation.tolist(),
+            "scale": float(result.pose.scale),
+        },
+    }
+
+
+def _finite(number: float) -> float | None:
+    """JSON has no infinities."""
+    return float(number) if math.isfinite(number) else None
+
+
+def posed_mesh(result: FitResult, resolution: tuple[int, int]) -> trimesh.Trimesh:
+    """`result.mesh()` with the surface's own normals, which a new frame turns."""
+    mesh = result.mesh(resolution)
+    normals = result.model.mesh(resolution).vertex_normals @ result.pose.rotation.T
+    mesh.vertex_normals = normals
+    return mesh
+
+
+def _obj(mesh: trimesh.Trimesh, result: FitResult) -> str:
+    """OBJ without the lines that name a material file, which there is none of."""
+    from trimesh.exchange.obj import export_obj
+
+    title = f"{type(result.model).__name__} fitted by petalfit {__version__}"
+    text = str(export_obj(mesh, include_normals=True, write_texture=False, digits=9, header=title))
+    lines = text.splitlines(keepends=True)
+    return "".join(line for line in lines if not line.startswith(("mtllib ", "usemtl ")))
+
+
+def _write(content: bytes, path: str | os.PathLike[str]) -> None:
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(content)

@@ -1,0 +1,96 @@
+"""Derivatives of a fit with respect to its data, by the implicit function theorem.
+
+A settled fit solves F(t, data) = 0, with F the gradient of its cost, so that dt = −(∂F/∂t)⁻¹ ∂F/∂data.
+Nothing is differentiated through the iterations. In F, foot points are functions of t and of the data:
+they move when either does, and are held where the edge of the petal clamps them.
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from petalfit.fitting.coordinates import Coordinates
+from petalfit.fitting.solve import Data, estimate_sigma, solve
+from petalfit.residuals import edge_pull, edge_score, frame, pull_back, refine_foot_points
+from petalfit.surfaces import AbstractSurface
+
+
+def solve_differentiably(
+    coordinates: Coordinates,
+    data: Data,
+    t: Float[Array, " p"],
+    uv: Float[Array, "n 2"],
+    max_rounds: int = 100,
+    tolerance: float = 1e-8,
+) -> Float[Array, " p"]:
+    """`solve` as a differentiable function of `data` and of the fixed parameters.
+
+    Args:
+        coordinates: Free parameters and the model that they belong to.
+        data: The cloud; derivatives flow to its points, weights and, if given, its noise.
+        t: Start, near the minimum.
+        uv: Start of the foot points.
+        max_rounds: Upper bound of the rounds; the theorem wants a settled fit.
+        tolerance: In standard errors.
+
+    Returns:
+        The coordinates t of the minimum; `coordinates.values` turns them into parameters.
+    """
+    held = jax.lax.stop_gradient((coordinates, data, t, uv))
+    settled = solve(*held, max_rounds, tolerance)
+    settled = jax.lax.stop_gradient(settled)
+
+    def gradient(t: Array) -> Array:
+        return cost_gradient(coordinates, data, t, settled.uv)
+
+    def tangent_solve(linear, rhs: Array) -> Array:
+        return jnp.linalg.solve(jax.vmap(linear, out_axes=1)(jnp.eye(len(rhs))), rhs)
+
+    return jax.lax.custom_root(gradient, settled.t, lambda _, start: start, tangent_solve)
+
+
+def cost_gradient(
+    coordinates: Coordinates, data: Data, t: Float[Array, " p"], uv: Float[Array, "n 2"]
+) -> Float[Array, " p"]:
+    """Gradient of the cost that `solve` minimises, with differentiable foot points.
+
+    Args:
+        coordinates: Free parameters and the model that they belong to.
+        data: The cloud.
+        t: Coordinates of the free parameters.
+        uv: Foot points, nearly.
+    """
+    model = coordinates.model(t)
+    uv = _implicit_foot_points(model, data.points, uv)
+    here = frame(model, uv)
+    offset = data.points - here.position
+    distance = jnp.sum(here.normal * offset, axis=-1)
+    sigma = estimate_sigma(data, distance, len(t))
+    beyond = jnp.sum(here.conormals * offset[:, None, :], axis=-1) - here.left
+    score = edge_score(beyond / sigma)
+    covectors = here.normal * (distance / sigma)[:, None]
+    covectors = (covectors + jnp.sum(score[..., None] * here.conormals, axis=1)) / sigma
+    pulled = pull_back(model, uv, -data.weights[:, None] * covectors)
+    pull = coordinates.gather(edge_pull(model, uv, data.weights))
+    return coordinates.slopes(t) * (jnp.sum(coordinates.gather(pulled), axis=0) + pull)
+
+
+def _implicit_foot_points(model: AbstractSurface, points: Array, uv: Array) -> Array:
+    """Foot points with the right first derivatives: one Newton step whose matrix is held."""
+    uv = refine_foot_points(*jax.lax.stop_gradient((model, points, uv)), 4, elsewhere=False)
+    low, high = (jnp.asarray(side, points.dtype) for side in zip(*model.domain, strict=True))
+
+    def half_squared_distance(uv: Array, x: Array) -> Array:
+        return 0.5 * jnp.sum((model.position(uv[0], uv[1]) - x) ** 2)
+
+    @jax.vmap
+    def newton(uv: Array, x: Array) -> Array:
+        gradient = jax.grad(half_squared_distance)(uv, x)
+        hessian = jax.lax.stop_gradient(jax.hessian(half_squared_distance)(uv, x))
+        moves = ((uv > low) | (gradient < 0)) & ((uv < high) | (gradient > 0))
+        hessian = jnp.where(jnp.outer(moves, moves), hessian, jnp.diag(1.0 * ~moves))
+        return uv - jnp.linalg.solve(hessian, jnp.where(moves, gradient, 0.0))
+
+    return newton(uv, points)

@@ -1,0 +1,96 @@
+"""The target, the fit and the map of distances as one PNG, for a README or a slide."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING
+
+from petalfit.fitting.result import FitResult
+from petalfit.observations.atomic import atomic_path
+from petalfit.report.colour import NEGATIVE, POSITIVE, ZERO
+from petalfit.report.rounding import count, plain
+from petalfit.report.scene import (
+    BASE,
+    OBLIQUE,
+    SIDE,
+    Picture,
+    Scene,
+    distance_limit,
+    draw_map,
+    draw_view,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_GREY = "#7a7a80"  # legible on white and on black
+_ROSE = "#c45a82"
+_DPI = 160
+_WIDTH, _HEIGHT = 10.1, 4.6  # inches
+
+
+def write_picture(result: FitResult, path: str | os.PathLike[str]) -> None:
+    """Write the target and the fit from three sides and the map of distances as one PNG.
+
+    Its background is transparent, its text legible on light and dark. Whole or not at all.
+
+    Args:
+        result: The fit.
+        path: The file, `.png`; an existing one is replaced.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    figure = _figure(result)
+    with atomic_path(path) as temporary, temporary.open("wb") as file:
+        figure.savefig(
+            file, format="png", dpi=_DPI, transparent=True, metadata={"Software": "petalfit"}
+        )
+
+
+def _figure(result: FitResult) -> Figure:
+    # Imported here: matplotlib takes a second, and a report does without it.
+    from matplotlib.figure import Figure
+
+    scene = Scene.of(result)
+    limit = distance_limit(result)
+    used = count(int((result.weights > 0).sum()), "point")
+    figure = Figure(figsize=(_WIDTH, _HEIGHT))
+    tall = draw_view(scene, OBLIQUE, 900, (1.5, 1.5))
+    _show(_axes(figure, 0.0, 0.1, 2.8, 4.2), tall, f"{type(result.model).__name__} and {used}")
+    for view, bottom in ((SIDE, 2.35), (BASE, 0.1)):
+        flat = draw_view(scene, view, 900, (0.61, 0.61))
+        _show(_axes(figure, 2.95, bottom, 3.2, 1.95), flat, view.name)
+    _map(figure, draw_map(scene, limit, 900, (1.5, 1.5)), scene, limit, result.noise)
+    return figure
+
+
+def _axes(figure: Figure, left: float, bottom: float, width: float, height: float) -> Axes:
+    """Axes at a place given in inches."""
+    return figure.add_axes((left / _WIDTH, bottom / _HEIGHT, width / _WIDTH, height / _HEIGHT))
+
+
+def _show(axes: Axes, picture: Picture, title: str) -> None:
+    """A picture in its own lengths, with a title and no frame."""
+    height, width = (side / picture.scale for side in picture.rgba.shape[:2])
+    x, y = picture.corner
+    axes.imshow(picture.rgba, extent=(x, x + width, y, y + height), interpolation="antialiased")
+    axes.set_axis_off()
+    axes.set_title(title, color=_GREY, fontsize=10)
+
+
+def _map(figure: Figure, picture: Picture, scene: Scene, limit: float, noise: float) -> None:
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import LinearSegmentedColormap, Normalize
+
+    axes = _axes(figure, 6.7, 0.1, 2.8, 4.2)
+    _show(axes, picture, f"signed distance (noise σ = {plain(noise)})")
+    axes.plot(*scene.outline[:, :2].T, color=_ROSE, linewidth=1.0, zorder=0)
+    colours = LinearSegmentedColormap.from_list("distance", [NEGATIVE, ZERO, POSITIVE])
+    key = _axes(figure, 9.55, 1.2, 0.1, 2.0)
+    figure.colorbar(ScalarMappable(Normalize(-limit, limit), colours), cax=key)
+    key.tick_params(colors=_GREY, labelsize=8, length=3)
+    key.locator_params(nbins=5)
+    for spine in key.spines.values():
+        spine.set_visible(False)

@@ -1,0 +1,190 @@
+"""What the pictures show: the fitted surface and the target, seen along the petal's own axes."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from petalfit.fitting.result import FitResult
+from petalfit.report.colour import FRONT, IGNORED, POINT, REAR, diverging, shaded
+from petalfit.report.raster import Canvas
+
+# The resolution of `FitResult.mesh`, so that a process compiles one tessellation and no more.
+_RESOLUTION = (65, 65)
+# Of more points a random choice is drawn, the same at every time.
+_IN_MAP = 20_000
+_IN_VIEW = 2500  # more would cover the surface
+_LIGHT = np.array([-0.45, 0.55, 0.7]) / np.linalg.norm([-0.45, 0.55, 0.7])
+_MARGIN = 0.04  # around what is drawn, as a fraction of a picture's sides
+
+
+@dataclasses.dataclass(frozen=True)
+class Scene:
+    """A fit in the petal's axes (x across, y along, z its normal) and the target's unit.
+
+    Attributes:
+        vertices: Of the surface, shape (n_u, n_v, 3).
+        normals: Unit normals there.
+        points: Those of the target that the map shows, shape (k, 3). Any first part of them is a
+            fair choice too.
+        distances: Their signed distances to the surface, shape (k,).
+        used: Whether a point had any weight in the fit, shape (k,).
+    """
+
+    vertices: Float[np.ndarray, "n_u n_v 3"]
+    normals: Float[np.ndarray, "n_u n_v 3"]
+    points: Float[np.ndarray, "k 3"]
+    distances: Float[np.ndarray, " k"]
+    used: Bool[np.ndarray, " k"]
+
+    @classmethod
+    def of(cls, result: FitResult) -> Scene:
+        """The scene of a fit."""
+        mesh = result.model.mesh(_RESOLUTION)
+        chosen = np.random.default_rng(0).permutation(len(result.target))[:_IN_MAP]
+        pose = result.pose
+        return cls(
+            pose.scale * np.array(mesh.vertices).reshape(*_RESOLUTION, 3),
+            np.array(mesh.vertex_normals).reshape(*_RESOLUTION, 3),
+            (result.target.points[chosen] - pose.translation) @ pose.rotation,
+            result.distances[chosen],
+            result.weights[chosen] > 0,
+        )
+
+    @property
+    def outline(self) -> Float[np.ndarray, "m 3"]:
+        """The surface's edge, once around."""
+        grid = self.vertices
+        sides = grid[:, 0], grid[-1, 1:], grid[-2::-1, -1], grid[0, -2::-1]
+        return np.concatenate(sides)
+
+
+def distance_limit(result: FitResult) -> float:
+    """The distance at which colours end: 3 σ, or where the farthest begin if the fit is poor."""
+    usable = np.abs(result.distances[(result.weights > 0) & np.isfinite(result.distances)])
+    noise = result.noise if np.isfinite(result.noise) else 0.0
+    far = float(np.quantile(usable, 0.98)) if len(usable) else 0.0
+    return far if far > 4 * noise else 3 * noise or 1.0
+
+
+class View(NamedTuple):
+    """Where the scene is looked at from: an orthographic camera.
+
+    Attributes:
+        name: Says it to a reader.
+        axes: Rows point right, up, and towards the viewer, in the petal's axes; shape (3, 3).
+    """
+
+    name: str
+    axes: Float[np.ndarray, "3 3"]
+
+
+def _turned(azimuth: float, elevation: float) -> Float[np.ndarray, "3 3"]:
+    """A look at the upper side, the petal's tip up, from the right (+) and from below (−)."""
+    a, e = np.radians([azimuth, elevation])
+    right = np.array([np.cos(a), 0.0, -np.sin(a)])
+    back = np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
+    return np.stack([right, np.cross(back, right), back])
+
+
+OBLIQUE = View("oblique", _turned(-38.0, -36.0))
+SIDE = View("from the side", np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]))
+BASE = View("from the base", np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]))
+FACE = View("from the front", np.eye(3))
+
+
+class Picture(NamedTuple):
+    """A drawn view.
+
+    Attributes:
+        rgba: Shape (h, w, 4), transparent where nothing is.
+        view: Where it is seen from.
+        corner: What the picture's left and lower edges are in the view's right and up, shape (2,).
+        scale: Pixels per unit of length.
+        drawn: Number of points.
+    """
+
+    rgba: UInt8[np.ndarray, "h w 4"]
+    view: View
+    corner: Float[np.ndarray, "2"]
+    scale: float
+    drawn: int
+
+
+def _framed(view: View, scene: Scene, width: int, aspects: tuple[float, float]) -> Picture:
+    """An empty picture that holds everything, as flat as the content allows."""
+    everything = np.concatenate([scene.vertices.reshape(-1, 3), scene.points]) @ view.axes[:2].T
+    low, high = everything.min(axis=0), everything.max(axis=0)
+    sides = np.maximum(high - low, 1e-9 * np.abs(everything).max() + 1e-300)
+    aspect = float(np.clip(sides[1] / sides[0], *aspects))
+    shape = round(aspect * width), width
+    scale = float(min((1 - 2 * _MARGIN) * np.array(shape[::-1]) / sides))
+    corner = 0.5 * (low + high) - 0.5 * np.array(shape[::-1]) / scale
+    return Picture(np.zeros((*shape, 4), np.uint8), view, corner, scale, 0)
+
+
+def _place(picture: Picture, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels (right, down) and depths of points, shapes (..., 2) and (...)."""
+    seen = points @ picture.view.axes.T
+    xy = (seen[..., :2] - picture.corner) * picture.scale
+    xy[..., 1] = len(picture.rgba) - xy[..., 1]
+    return xy, seen[..., 2]
+
+
+def draw_view(
+    scene: Scene, view: View, width: int, aspects: tuple[float, float] = (0.3, 1.2)
+) -> Picture:
+    """The shaded surface with the target's points on it, behind it and before it.
+
+    Args:
+        scene: What to draw.
+        view: From where.
+        width: Of the picture, in pixels.
+        aspects: The least and the greatest height, as fractions of the width.
+    """
+    picture = _framed(view, scene, width, aspects)
+    canvas = Canvas(picture.rgba.shape[:2])
+    xy, depth = _place(picture, scene.vertices)
+    normals = scene.normals @ view.axes.T
+    front = normals[..., 2:] >= 0
+    lit = np.clip(np.where(front, normals, -normals) @ _LIGHT, 0, 1)
+    canvas.sheet(xy, depth, shaded(np.where(front, FRONT, REAR), lit))
+    # Points lie within the noise of the sheet. Those of the visible side are shown whole, those of
+    # a side that is turned away are hidden: a lift of some cells tells the two apart.
+    lift = 0.01 * float(np.linalg.norm(np.ptp(scene.vertices.reshape(-1, 3), axis=0)))
+    xy, depth = _place(picture, scene.points[:_IN_VIEW])
+    colours = np.where(scene.used[:_IN_VIEW, None], POINT, IGNORED)
+    radius = _dot_radius(picture, len(xy), 2.0, 3.2)
+    canvas.discs(xy, depth + lift, 0.3 * colours + 0.7, radius + 1.3)
+    canvas.discs(xy, depth + 1.001 * lift, colours, radius)
+    return picture._replace(rgba=canvas.rgba, drawn=len(xy))
+
+
+def draw_map(
+    scene: Scene, limit: float, width: int, aspects: tuple[float, float] = (0.5, 1.4)
+) -> Picture:
+    """The points from the front, coloured by signed distance, the farthest on top.
+
+    Args:
+        scene: What to draw.
+        limit: Distance of the two ends of the colours, positive.
+        width: Of the picture, in pixels.
+        aspects: The least and the greatest height, as fractions of the width.
+    """
+    picture = _framed(FACE, scene, width, aspects)
+    canvas = Canvas(picture.rgba.shape[:2])
+    xy, _ = _place(picture, scene.points)
+    colours = np.where(scene.used[:, None], diverging(scene.distances / limit), IGNORED)
+    far = np.where(scene.used, np.abs(scene.distances), -1.0)
+    rank = np.argsort(np.argsort(far)).astype(float)
+    canvas.discs(xy, rank, colours, _dot_radius(picture, len(xy), 2.0, 5.5))
+    return picture._replace(rgba=canvas.rgba, drawn=len(xy))
+
+
+def _dot_radius(picture: Picture, n: int, least: float, greatest: float) -> float:
+    """Dots that cover about a quarter of a picture, in pixels."""
+    height, width, _ = picture.rgba.shape
+    return float(np.clip(0.25 * np.sqrt(height * width / n), least, greatest))

@@ -1,0 +1,138 @@
+"""The page's tables: parameters, starts, correlations, and where the numbers come from."""
+
+from __future__ import annotations
+
+import html
+import math
+
+import numpy as np
+
+from petalfit.components import Parameter, parameters
+from petalfit.fitting.result import FitResult
+from petalfit.report.charts import range_chart
+from petalfit.report.rounding import decimals_of, fixed, measured, plain
+
+_UNITS = {"length": "length", "1": "–"}
+_MOST_STARTS = 12
+_NOT_DETERMINED = "is not determined by this target"
+
+
+def _symbol(parameter: Parameter) -> str:
+    """The paper's symbol, what follows an underscore as a subscript."""
+    head, _, tail = parameter.symbol.partition("_")
+    subscript = f"<sub>{html.escape(tail)}</sub>" if tail else ""
+    return f"<var>{html.escape(head)}{subscript}</var>"
+
+
+def parameter_table(result: FitResult, level: float = 0.95) -> str:
+    """Every parameter of the model: its value ± error, interval, unit and meaning."""
+    intervals = result.interval(level)
+    rows = [
+        _parameter_row(name, parameter, result, intervals.get(name))
+        for name, parameter in parameters(result.model).items()
+    ]
+    return (
+        '<table class="parameters"><thead><tr><th scope="col">parameter</th>'
+        '<th scope="col" class="value">value ± standard error</th>'
+        f'<th scope="col" class="reach">{100 * level:g} % interval</th>'
+        '<th scope="col" class="unit">unit</th>'
+        '<th scope="col" class="strip">in its typical range</th></tr></thead>\n<tbody>\n'
+        + "\n".join(rows)
+        + "\n</tbody></table>"
+    )
+
+
+def _parameter_row(
+    name: str, parameter: Parameter, result: FitResult, interval: tuple[float, float] | None
+) -> str:
+    value, error = result.values[name], result.stderr.get(name, math.nan)
+    known = result.identifiable.get(name, False)
+    if interval is None:
+        kind, shown, reach = "fixed", _data(value, f"{value:.10g}".replace("-", "−")), "fixed"
+    elif not known:
+        kind, shown = "unknown", f"≈ {_data(value, plain(value))}"
+        reach = "<strong>not determined</strong>"
+    else:
+        rounded, rounded_error = measured(value, error)
+        decimals = decimals_of(error)
+        kind = "known"
+        shown = f'{_data(value, rounded)} <span class="error">± {rounded_error}</span>'
+        reach = " to ".join(fixed(end, decimals) for end in interval)
+    notes = [
+        f'<span class="note">{html.escape(warning.removeprefix(name).strip())}</span>'
+        for warning in result.warnings
+        if warning.startswith(f"{name} ") and not warning.endswith(_NOT_DETERMINED)
+    ]
+    unit = _UNITS.get(parameter.unit, parameter.unit)
+    return (
+        f'<tr class="{kind}"><th scope="row"><code>{html.escape(name)}</code> {_symbol(parameter)}'
+        f'<span class="meaning">{html.escape(parameter.meaning)}</span></th>'
+        f'<td class="value">{shown}{"".join(notes)}</td><td class="reach">{reach}</td>'
+        f'<td class="unit">{html.escape(unit)}</td>'
+        f'<td class="strip">{range_chart(value, interval, parameter.typical)}</td></tr>'
+    )
+
+
+def _data(value: float, text: str) -> str:
+    """A rounded number that carries all its digits for whoever copies or reads the source."""
+    return f'<data value="{value!r}" title="{value!r}">{html.escape(text)}</data>'
+
+
+def starts_table(result: FitResult) -> str:
+    """What each start reached, the best first."""
+    shown = result.starts[:_MOST_STARTS]
+    rows = [
+        f'<tr><td>{html.escape(start.label)}</td><td class="number">{plain(start.rms, 4)}</td>'
+        f'<td class="number">{plain(start.delta_chi2, 3)}</td></tr>'
+        for start in shown
+    ]
+    left = len(result.starts) - len(shown)
+    if left:
+        rows.append(f'<tr><td colspan="3" class="more">and {left} more, all worse</td></tr>')
+    return (
+        '<table class="starts"><thead><tr><th scope="col">start</th><th scope="col" '
+        'class="number">rms reached</th><th scope="col" class="number">Δχ² to the best</th>'
+        "</tr></thead>\n<tbody>\n" + "\n".join(rows) + "\n</tbody></table>"
+    )
+
+
+def correlation_table(result: FitResult) -> str | None:
+    """Correlations of the determined parameters as a heat map; None if there are not two."""
+    declared = parameters(result.model)
+    known = [i for i, name in enumerate(result.names) if result.identifiable[name]]
+    covariance = result.covariance[np.ix_(known, known)]
+    spread = np.sqrt(np.diag(covariance))
+    if len(known) < 2 or not (np.isfinite(covariance).all() and (spread > 0).all()):
+        return None
+    correlation = covariance / np.outer(spread, spread)
+    names = [result.names[i] for i in known]
+    rows = []
+    for row, name in enumerate(names[1:], 1):
+        cells = "".join(
+            _heat(float(correlation[row, column]), f"{name}, {names[column]}")
+            for column in range(row)
+        )
+        rows.append(f'<tr><th scope="row"><code>{html.escape(name)}</code></th>{cells}</tr>')
+    foot = "".join(f'<th scope="col">{_symbol(declared[name])}</th>' for name in names[:-1])
+    return (
+        '<div class="wide"><table class="heat"><tbody>\n'
+        + "\n".join(rows)
+        + f"\n</tbody><tfoot><tr><td></td>{foot}</tr></tfoot></table></div>"
+    )
+
+
+def _heat(correlation: float, pair: str) -> str:
+    kind = "positive" if correlation > 0 else "negative"
+    strength = min(abs(correlation), 1.0)
+    return (
+        f'<td class="{kind}" style="--strength:{100 * strength:.0f}%" '
+        f'title="{html.escape(pair)}">{fixed(correlation, 2)}</td>'
+    )
+
+
+def provenance_list(rows: dict[str, str]) -> str:
+    """Terms and what they are; the values are HTML already."""
+    terms = (
+        f"<div><dt>{html.escape(key)}</dt><dd>{value}</dd></div>" for key, value in rows.items()
+    )
+    return "<dl>" + "\n".join(terms) + "</dl>"

@@ -1,0 +1,130 @@
+"""Cases as files: a folder each with cloud and truth, and one manifest of them all.
+
+Everything is written so that the same recipe gives the same bytes on every machine.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import io
+import json
+import tempfile
+import zipfile
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from petalfit.components import PeonyPetal
+from petalfit.observations import PointCloud
+from petalfit.observations.atomic import atomic_path
+from petalfit.synthetic.case import Case, make
+from petalfit.synthetic.recipes import RECIPES
+
+MANIFEST = "manifest.json"
+CASES = "cases"
+TRUTH = "truth.json"
+
+
+def write_cases(folder: Path, recipes: Iterable[Case] = RECIPES) -> list[Path]:
+    """Makes all cases and the manifest.
+
+    Args:
+        folder: Gets `cases/<name>/cloud.*`, `cases/<name>/truth.json` and `manifest.json`.
+        recipes: What to make.
+
+    Returns:
+        The files written, the manifest last.
+    """
+    written, entries = [], []
+    for case in recipes:
+        place = folder / CASES / case.name
+        place.mkdir(parents=True, exist_ok=True)
+        files = write_case(case, make(case), place)
+        written += files
+        digests = {path.relative_to(folder).as_posix(): _sha256(path) for path in files}
+        entries.append(_truth(case) | {"files": digests})
+    _write_json({"cases": entries}, folder / MANIFEST)
+    return [*written, folder / MANIFEST]
+
+
+def write_case(case: Case, cloud: PointCloud, folder: Path) -> list[Path]:
+    """Writes one case into a folder that exists: `cloud.*` and `truth.json`, for `read_case`."""
+    files = [folder / f"cloud{case.suffix}", folder / TRUTH]
+    _write_cloud(cloud, files[0])
+    _write_json(_truth(case), files[1])
+    return files
+
+
+def check_cases(folder: Path, recipes: Iterable[Case] = RECIPES) -> list[str]:
+    """Compares the files of a folder with its manifest, and with what the recipes make now.
+
+    Args:
+        folder: As `write_cases` left it.
+        recipes: What it was made from.
+
+    Returns:
+        A line for everything that is wrong; empty if nothing is.
+    """
+    manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+    listed = {
+        name: digest for entry in manifest["cases"] for name, digest in entry["files"].items()
+    }
+    there = {path.relative_to(folder).as_posix() for path in folder.glob(f"{CASES}/*/*")}
+    wrong = [f"{name} is missing" for name in sorted(listed.keys() - there)]
+    wrong += [f"{name} is not in the manifest" for name in sorted(there - listed.keys())]
+    wrong += [
+        f"{name} is not what the manifest says"
+        for name in sorted(listed.keys() & there)
+        if _sha256(folder / name) != listed[name]
+    ]
+    with tempfile.TemporaryDirectory() as temporary:
+        for path in write_cases(Path(temporary), recipes):
+            name = path.relative_to(temporary)
+            if (folder / name).is_file() and (folder / name).read_bytes() != path.read_bytes():
+                wrong.append(f"{name.as_posix()} comes out different when it is made again")
+    return wrong
+
+
+def read_case(folder: Path) -> tuple[Case, PointCloud]:
+    """One case from its folder: what it was made from, and its cloud."""
+    truth = json.loads((folder / TRUTH).read_text(encoding="utf-8"))
+    truth["model"] = PeonyPetal(**truth.pop("parameters"))
+    if truth["keep"] is not None:
+        truth["keep"] = (tuple(truth["keep"]["normal"]), truth["keep"]["offset"])
+    case = Case(**truth)
+    return case, PointCloud.load(folder / f"cloud{case.suffix}")
+
+
+def _truth(case: Case) -> dict[str, object]:
+    """A case as JSON: its fields, and the parameters by name."""
+    truth = {field.name: getattr(case, field.name) for field in dataclasses.fields(case)}
+    truth["model"] = type(case.model).__name__
+    truth["parameters"] = {name: float(value) for name, value in vars(case.model).items()}
+    if case.keep is not None:
+        truth["keep"] = {"normal": case.keep[0], "offset": case.keep[1]}
+    return truth
+
+
+def _write_json(content: dict[str, object], path: Path) -> None:
+    with atomic_path(path) as temporary:
+        text = json.dumps(content, indent=1) + "\n"
+        temporary.write_text(text, encoding="utf-8", newline="\n")
+
+
+def _write_cloud(cloud: PointCloud, path: Path) -> None:
+    if path.suffix != ".npz":
+        cloud.save(path)
+        return
+    # By hand: NumPy's archive tells the operating system, and its compression the zlib version.
+    array = io.BytesIO()
+    np.lib.format.write_array(array, cloud.points.astype("<f4"), version=(1, 0))
+    member = zipfile.ZipInfo("points.npy", date_time=(1980, 1, 1, 0, 0, 0))
+    member.create_system = 3
+    with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
+        archive.writestr(member, array.getvalue())
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()

@@ -1,0 +1,75 @@
+"""A fit made by hand, so that tests of what is written need not fit anything."""
+
+import dataclasses
+import functools
+
+import numpy as np
+
+from petalfit import FitResult, PeonyPetal, PointCloud, Pose, parameters
+from petalfit.fitting import Start
+
+HOSTILE = '<script>alert("1")</script> & <img src="http://example.com/x.png">'
+NOISE = 0.05
+
+
+@functools.cache
+def known_pose() -> FitResult:
+    """All is well, but for one weightless point in ten and a rib frequency that nobody knows."""
+    petal = PeonyPetal(a_x=14.0848233, dx=-0.4)
+    rng = np.random.default_rng(3)
+    cloud = petal.sample(400, seed=1, noise=NOISE)
+    weights = np.where(np.arange(len(cloud)) % 10, 1.0, 0.0)
+    names = tuple(name for name, p in parameters(petal).items() if not p.fixed)
+    factor = 0.01 * np.diag(rng.uniform(0.2, 2.0, len(names))) @ rng.normal(size=(len(names),) * 2)
+    covariance = factor @ factor.T
+    unknown = names.index("rib_frequency")
+    covariance[unknown] = covariance[:, unknown] = np.inf
+    values = {name: float(getattr(petal, name)) for name in parameters(petal)}
+    free = {name: values[name] for name in names}
+    distances = rng.normal(scale=NOISE, size=len(cloud))
+    return FitResult(
+        model=petal,
+        pose=Pose.identity(),
+        values=values,
+        stderr=dict(zip(names, np.sqrt(np.diag(covariance)).tolist(), strict=True)),
+        identifiable={name: name != "rib_frequency" for name in names},
+        names=names,
+        covariance=covariance,
+        noise=NOISE,
+        rms=float(np.sqrt(np.average(distances**2, weights=weights))),
+        distances=distances,
+        weights=weights,
+        converged=True,
+        status="converged",
+        message="converged after 4 rounds",
+        warnings=(),
+        steps=4,
+        starts=(Start("rib_frequency 20.02", free, 0.0501, 0.0), Start("other", free, 0.06, 12.3)),
+        target=PointCloud(cloud.points, weights=weights),
+    )
+
+
+@functools.cache
+def posed() -> FitResult:
+    """The same, turned, moved and scaled, with warnings and a text that wants to be a program."""
+    plain = known_pose()
+    angle = 0.7
+    turn = np.array(
+        [[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]]
+    )
+    pose = Pose(turn, np.array([100.0, -20.0, 3.0]), 2.5)
+    points = pose.scale * plain.target.points @ turn.T + pose.translation
+    warnings = (
+        "rib_frequency is not determined by this target",
+        "a_x ended at the bound of its range (1, 100)",
+        "dx ended at the bound of its range (1, 100)",
+        HOSTILE,
+    )
+    return dataclasses.replace(
+        plain,
+        pose=pose,
+        target=PointCloud(points, weights=plain.weights),
+        warnings=warnings,
+        message="; ".join(["converged after 4 rounds", *warnings]),
+        starts=(dataclasses.replace(plain.starts[0], label=HOSTILE), *plain.starts[1:]),
+    )

@@ -1,0 +1,115 @@
+"""The committed cases are what their manifest says, can be made again, and can be read."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from petalfit.components import parameters
+from petalfit.synthetic import (
+    RECIPES,
+    Case,
+    check_cases,
+    make,
+    random_petal,
+    read_case,
+    write_cases,
+)
+from petalfit.synthetic.random_petal import RANGES
+
+FOLDER = Path(__file__).parents[2] / "data_synthetic"
+NAMES = [case.name for case in RECIPES]
+
+
+def values(case: Case) -> dict[str, float]:
+    return {name: float(value) for name, value in vars(case.model).items()}
+
+
+def test_files_are_the_manifests_and_come_out_the_same_again() -> None:
+    assert check_cases(FOLDER) == []
+    assert sum(path.stat().st_size for path in FOLDER.rglob("*") if path.is_file()) < 1_500_000
+
+
+def test_manifest_tells_all() -> None:
+    entries = json.loads((FOLDER / "manifest.json").read_text(encoding="utf-8"))["cases"]
+    assert [entry["name"] for entry in entries] == NAMES
+    for entry, case in zip(entries, RECIPES, strict=True):
+        assert entry["parameters"] == values(case)
+        assert (entry["noise"], entry["seed"], entry["points"], entry["strays"]) == (
+            case.noise, case.seed, case.points, case.strays
+        )  # fmt: skip
+        assert len(entry["files"]) == 2
+
+
+@pytest.mark.parametrize("recipe", RECIPES, ids=NAMES)
+def test_case_reads_back(recipe: Case) -> None:
+    case, cloud = read_case(FOLDER / "cases" / recipe.name)
+    assert values(case) == values(recipe)
+    assert dataclasses.replace(case, model=recipe.model) == recipe
+    assert len(cloud) == recipe.points
+    assert cloud.normals is None
+    if recipe.keep is not None:
+        normal, offset = recipe.keep
+        assert (cloud.points @ np.array(normal)).min() > offset - 6 * recipe.noise
+
+
+@pytest.mark.parametrize("recipe", RECIPES, ids=NAMES)
+def test_truth_is_inside_the_typical_ranges(recipe: Case) -> None:
+    for name, parameter in parameters(recipe.model).items():
+        low, high = parameter.typical
+        assert low <= float(getattr(recipe.model, name)) <= high, name
+
+
+def test_noise_and_strays_are_as_declared() -> None:
+    # The same seed gives the same points of the surface, so differences are the noise alone.
+    recipe = next(case for case in RECIPES if case.name == "outliers")
+    clean = make(dataclasses.replace(recipe, noise=0.0)).points
+    noisy = make(recipe).points
+    true = slice(recipe.points - recipe.strays)
+    difference = noisy[true] - clean[true]
+    assert abs(difference.std() / recipe.noise - 1) < 0.05
+    assert abs(difference.mean()) < 4 * recipe.noise / np.sqrt(difference.size)
+    farther = np.linalg.norm(noisy[:, None] - clean[None, true], axis=-1).min(axis=1)
+    assert np.median(farther[recipe.points - recipe.strays :]) > 20 * recipe.noise
+    assert farther[true].max() < 6 * recipe.noise
+
+
+def test_check_finds_what_is_wrong(tmp_path: Path) -> None:
+    tiny = dataclasses.replace(RECIPES[0], points=60)
+    other = dataclasses.replace(tiny, name="other", suffix=".npz")
+    written = write_cases(tmp_path, [tiny, other])
+    assert check_cases(tmp_path, [tiny, other]) == []
+    cloud = tmp_path / "cases/other/cloud.npz"
+    content = cloud.read_bytes()
+    cloud.write_bytes(content[:-1] + b"!")
+    assert check_cases(tmp_path, [tiny, other]) == [
+        "cases/other/cloud.npz is not what the manifest says",
+        "cases/other/cloud.npz comes out different when it is made again",
+    ]
+    cloud.unlink()
+    (tmp_path / "cases/other/more.txt").touch()
+    assert check_cases(tmp_path, [tiny, other]) == [
+        "cases/other/cloud.npz is missing",
+        "cases/other/more.txt is not in the manifest",
+    ]
+    assert written[-1].name == "manifest.json"
+
+
+def test_only_strays_is_refused() -> None:
+    with pytest.raises(ValueError, match="60 strays of 60 points"):
+        dataclasses.replace(RECIPES[0], points=60, strays=60)
+
+
+def test_random_petals_fill_their_ranges() -> None:
+    rng = np.random.default_rng(5)
+    petals = [random_petal(rng) for _ in range(400)]
+    for name, (low, high) in RANGES.items():
+        drawn = np.array([float(getattr(petal, name)) for petal in petals])
+        size = np.abs(drawn) if name == "dx" else drawn
+        assert low <= size.min() < low + 0.05 * (high - low), name
+        assert high >= size.max() > high - 0.05 * (high - low), name
+    assert abs(np.mean([float(petal.dx) > 0 for petal in petals]) - 0.5) < 0.1
+    again = random_petal(np.random.default_rng(5))
+    assert again == petals[0]
