@@ -82,7 +82,7 @@ def test_free_parameters_and_a_start(cloud, result):
     started = pf.fit_petal(points, init=near)
     assert started.starts[0].label == "given"
     for name in NAMES:
-        assert abs(started.values[name] - result.values[name]) < 0.5 * result.stderr[name]
+        assert abs(started.values[name] - result.values[name]) < result.stderr[name]
 
 
 def test_a_given_noise_is_used(cloud):
