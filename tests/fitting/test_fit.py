@@ -93,7 +93,7 @@ def test_a_given_noise_is_used(cloud):
 
 def test_without_ribs_their_frequency_is_not_determined():
     petal = pf.PeonyPetal(rib_amplitude=0.0)
-    points, _ = noisy_cloud(petal, 800, SIGMA, np.random.default_rng(2))
+    points, _ = noisy_cloud(petal, 1500, SIGMA, np.random.default_rng(2))
     result = pf.fit_petal(points, throw=False)
     assert not result.identifiable["rib_frequency"]
     assert result.stderr["rib_frequency"] == math.inf

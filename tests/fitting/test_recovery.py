@@ -68,7 +68,7 @@ def test_half_a_petal_is_enough_and_its_absence_is_said():
 def test_order_and_subsampling_do_not_matter(cloud, result):
     _, points = cloud
     shuffled = pf.fit_petal(np.random.default_rng(0).permutation(points))
-    thinned = pf.fit_petal(points[::3])
+    thinned = pf.fit_petal(points[np.arange(1500) % 10 < 7])
     for name in NAMES:
         difference = shuffled.values[name] - result.values[name]
         assert abs(difference) < 0.05 * result.stderr[name]
@@ -78,8 +78,8 @@ def test_order_and_subsampling_do_not_matter(cloud, result):
 
 def test_weights_count_points():
     petal = pf.PeonyPetal(a_x=17.0, rib_frequency=14.0)
-    points, _ = noisy_cloud(petal, 1000, SIGMA, np.random.default_rng(4))
-    weights = np.where(np.arange(1000) < 300, 2.0, 1.0)
+    points, _ = noisy_cloud(petal, 1100, SIGMA, np.random.default_rng(4))
+    weights = np.where(np.arange(1100) < 300, 2.0, 1.0)
     weighted = pf.fit_petal(pf.PointCloud(points, weights=weights))
     doubled = pf.fit_petal(np.concatenate([points, points[:300]]))
     for name in NAMES:
@@ -87,7 +87,7 @@ def test_weights_count_points():
         assert abs(difference) < 0.5 * doubled.stderr[name]
         assert weighted.stderr[name] == pytest.approx(doubled.stderr[name], rel=0.02)
     spoilt = np.concatenate([points, points[:200] + 1.0])
-    ignored = pf.fit_petal(pf.PointCloud(spoilt, weights=np.r_[np.ones(1000), np.zeros(200)]))
+    ignored = pf.fit_petal(pf.PointCloud(spoilt, weights=np.r_[np.ones(1100), np.zeros(200)]))
     plain = pf.fit_petal(points)
     for name in NAMES:
         assert abs(ignored.values[name] - plain.values[name]) < 0.05 * plain.stderr[name]
