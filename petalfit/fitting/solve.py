@@ -126,26 +126,19 @@ def solve(
         jump = state.rounds < _JUMPING_ROUNDS
         uv = refine_foot_points(model, data.points, state.uv, 2, elsewhere=jump)
         frozen = _freeze(coordinates, data, state.t, uv, whiten, state.gain)
-        stay = jnp.zeros_like(state.t)
         solution = optx.least_squares(
             _residuals,
             optx.LevenbergMarquardt(rtol=1e-2, atol=1e-2, linear_solver=lx.Normal(lx.Cholesky())),
-            stay,
+            jnp.zeros_like(state.t),
             frozen,
             max_steps=6,
             throw=False,
         )
         z = jnp.where(jnp.isfinite(solution.value).all(), solution.value, 0.0)
-        # No step was short enough to help: damp more, unless there is nowhere to go.
+        # No step was short enough to help: damp more, until there is nowhere to go.
         stuck = jnp.all(z == 0)
-        moved = jax.lax.cond(
-            stuck,
-            lambda: (
-                jnp.max(jnp.abs(_jacobian(stay, frozen).T @ _residuals(stay, frozen)))
-                / state.gain**2
-            ),
-            lambda: jnp.max(jnp.abs(z)),
-        )
+        nowhere = state.gain < _GAIN / 8**3
+        moved = jnp.where(stuck & ~nowhere, jnp.inf, jnp.max(jnp.abs(z)))
         # Halved steps, later, calm a point that flips between two rounds.
         z = jnp.where(state.rounds < _JUMPING_ROUNDS, z, 0.5 * z)
         gain = jnp.where(stuck, state.gain / 8, jnp.minimum(state.gain * 2, _GAIN))
