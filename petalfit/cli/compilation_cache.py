@@ -39,11 +39,11 @@ def compilation_cache() -> Iterator[bool]:
         "jax_persistent_cache_min_entry_size_bytes": 0,
         "jax_persistent_cache_enable_xla_caches": "none",  # those are for GPUs
     }
+    before = {name: getattr(jax.config, name) for name in settings}
     folder = settings["jax_compilation_cache_dir"]
     if folder is None:
-        yield jax.config.jax_compilation_cache_dir is not None
+        yield before["jax_compilation_cache_dir"] is not None
         return
-    before = {name: getattr(jax.config, name) for name in settings}
     _update(settings)
     try:
         with _heeding_trouble(Path(folder)):
@@ -65,13 +65,13 @@ def _usable_folder() -> str | None:
     # Somebody who set up jax's cache wants it used.
     if root == "" or (root is None and os.environ.get("JAX_COMPILATION_CACHE_DIR")):
         return None
-    root = user_cache() if root is None else Path(root)
-    folder = root.absolute() / f"jaxlib-{version('jaxlib')}-{_processor()}"
     try:
+        root = user_cache() if root is None else Path(root).absolute()
+        folder = root / f"jaxlib-{version('jaxlib')}-{_processor()}"
         # Whoever can write there can make us run anything.
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         _prune(root)
-    except OSError:
+    except (OSError, RuntimeError):  # RuntimeError: of a user without a home
         return None
     return str(folder) if os.access(folder, os.R_OK | os.W_OK | os.X_OK) else None
 

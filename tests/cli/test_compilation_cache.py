@@ -92,6 +92,17 @@ def test_no_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, value: str) -
     assert os.listdir(tmp_path) == ["file"]
 
 
+def test_a_user_without_a_home(monkeypatch: pytest.MonkeyPatch) -> None:
+    def home() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    for name in VARIABLE, "XDG_CACHE_HOME", "LOCALAPPDATA":
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(Path, "home", home)
+    with compilation_cache():
+        assert getattr(jax.config, NAME) is None
+
+
 def test_oldest_files_go_first(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "LIMIT", 1000)
     folder = root / "jaxlib-0.0-older"
