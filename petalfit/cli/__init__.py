@@ -11,14 +11,8 @@ import sys
 from collections.abc import Sequence
 
 from petalfit import __version__  # pyright: ignore[reportAttributeAccessIssue] - not a lazy one
-from petalfit.cli.failure import CommandError
 from petalfit.cli.interrupt import insistent_interrupt
-
-# Exit statuses; 0 is success.
-UNUSABLE = 2
-NOT_CONVERGED = 3
-INTERRUPTED = 130
-BROKEN_PIPE = 141
+from petalfit.cli.status import BROKEN_PIPE, INTERRUPTED, SUCCESS, UNUSABLE, CommandError
 
 DESCRIPTION = (
     "Flowers from a few named numbers, and the numbers back from a scan.\n"
@@ -67,7 +61,7 @@ def _expect_a_short_life() -> None:
 def _run(arguments: list[str]) -> int:
     if arguments[:1] == ["--version"]:
         print(f"petalfit {__version__}")
-        return 0
+        return SUCCESS
     import tyro
 
     from petalfit.cli.demo import demo

@@ -87,14 +87,12 @@ def fit_table(result: "FitResult", truth: dict[str, float] | None = None) -> Tab
     from petalfit.components import parameters
 
     table = Table(header_style="bold")
-    table.add_column("parameter")
-    if truth is not None:
-        table.add_column("truth", justify="right")
-    table.add_column("value", justify="right")
-    table.add_column("± error", justify="right")
-    if truth is not None:
-        table.add_column("off by", justify="right")
-    table.add_column("unit")
+    # Folded if need be: a number that is cut off is another number.
+    table.add_column("parameter", overflow="fold")
+    numbers = ("value", "± error") if truth is None else ("truth", "value", "± error", "off by")
+    for heading in numbers:
+        table.add_column(heading, justify="right", overflow="fold")
+    table.add_column("unit", overflow="fold")
     for name, parameter in parameters(result.model).items():
         value = result.values[name]
         error = result.stderr.get(name, math.inf)
@@ -104,7 +102,7 @@ def fit_table(result: "FitResult", truth: dict[str, float] | None = None) -> Tab
             shown_error, style = "fixed", "dim"
         elif not result.identifiable[name]:
             shown_error, style = NOT_DETERMINED, "yellow"
-        known = truth is not None and math.isfinite(error)
+        known = truth is not None and 0 < error < math.inf
         off = f"{abs(value - truth[name]) / error:.1f} σ" if truth is not None and known else ""
         cells = [name, shown, shown_error, "" if parameter.unit == "1" else parameter.unit]
         if truth is not None:

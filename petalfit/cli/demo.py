@@ -1,43 +1,43 @@
 """`petalfit demo`: everything at once, on a petal whose truth is known."""
 
-import math
 from pathlib import Path
 from typing import Annotated
 
 from tyro.conf import arg
 
-from petalfit.cli.failure import require
+from petalfit.cli.options import Quiet, require_noise, require_seed
+from petalfit.cli.status import NOT_CONVERGED, SUCCESS, require
 
 PICTURE = "picture.png"
 MADE = ("the noisy points", "what they were made from")
 
 
-def demo(
-    out: Annotated[Path, arg(metavar="DIR", help="Folder for all that it makes.")] = Path(
-        "petalfit-demo"
+Folder = Annotated[Path, arg(metavar="DIR", help="Folder for all that it makes.")]
+Points = Annotated[int, arg(metavar="N", help="How many points the cloud has.")]
+Noise = Annotated[
+    float,
+    arg(
+        metavar="SIGMA",
+        help="Standard deviation of every coordinate; petals are some 30 wide and 50 long.",
     ),
-    points: Annotated[int, arg(metavar="N", help="How many points the cloud has.")] = 1500,
-    noise: Annotated[
-        float,
-        arg(
-            metavar="SIGMA",
-            help="Standard deviation of every coordinate; petals are some 30 wide and 50 long.",
-        ),
-    ] = 0.05,
-    seed: Annotated[int, arg(metavar="S", help="Another seed is another petal.")] = 0,
-    quiet: Annotated[bool, arg(help="Print warnings only.")] = False,
+]
+Seed = Annotated[int, arg(metavar="S", help="Another seed is another petal.")]
+
+
+def demo(
+    out: Folder = Path("petalfit-demo"),
+    points: Points = 1500,
+    noise: Noise = 0.05,
+    seed: Seed = 0,
+    quiet: Quiet = False,
 ) -> int:
     """Make a noisy petal, fit it, and compare with the truth."""
     require(points >= 50, f"--points {points} are too few for a demonstration; give 50 or more.")
-    require(
-        math.isfinite(noise) and noise >= 0,
-        f"--noise {noise} is no standard deviation; give 0 or more.",
-    )
-    require(seed >= 0, f"--seed {seed} is negative; give 0 or more.")
+    require_noise(noise)
+    require_seed(seed)
     from petalfit.cli.compilation_cache import compilation_cache
     from petalfit.cli.console import fit_table, list_files, output, progress, summarise, warn
-    from petalfit.cli.folder import check_folder, written_whole
-    from petalfit.cli.results import CONTENTS, write_results
+    from petalfit.cli.results import CONTENTS, check_folder, write_results, written_whole
 
     check_folder(out)
     with progress(quiet) as show, compilation_cache() as compiled:
@@ -64,4 +64,4 @@ def demo(
         console.print(summarise(result, None), soft_wrap=True)
         list_files(out, dict(zip(made, MADE, strict=True)) | CONTENTS | {PICTURE: "for the eye"})
     warn(result)
-    return 0 if result.converged else 3
+    return SUCCESS if result.converged else NOT_CONVERGED

@@ -1,70 +1,72 @@
 """`petalfit fit`: from a file to named parameters, a mesh and a report."""
 
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from petalfit.cli.failure import require
+from petalfit.cli.options import Quiet, require_noise, require_seed
+from petalfit.cli.status import NOT_CONVERGED, SUCCESS, CommandError
 
 if TYPE_CHECKING:
     from petalfit.components import PeonyPetal
 
 
+Target = Annotated[
+    Positional[Path],
+    arg(
+        metavar="TARGET",
+        help="Point cloud (.ply .xyz .txt .csv .npy .npz) or mesh (.ply .obj .stl .glb .gltf), in the "
+        "frame and unit of the model: its base at the origin, its tip towards +y, its width along x.",
+    ),
+]
+Folder = Annotated[
+    Path,
+    arg(
+        metavar="DIR",
+        help="Folder for fit.json, fit.glb and report.html; made if it does not exist. All of them "
+        "are written or none.",
+    ),
+]
+Free = Annotated[
+    UseAppendAction[tuple[str, ...]],
+    arg(
+        metavar="NAME",
+        help="Parameter to fit; repeat it, or separate names by commas. The others keep their "
+        "defaults, or the values of --init. Without it all are fitted that `petalfit parameters` "
+        "does not call fixed.",
+    ),
+]
+Init = Annotated[
+    Path | None,
+    arg(metavar="FIT.json", help="An earlier result to start from, instead of searching."),
+]
+Noise = Annotated[
+    float | None,
+    arg(
+        metavar="SIGMA",
+        help="Standard deviation of the points, in their unit; estimated if not given.",
+    ),
+]
+Seed = Annotated[int, arg(metavar="S", help="Of the random choice of points to start with.")]
+
+
 def fit(
-    target: Annotated[
-        Positional[Path],
-        arg(
-            metavar="TARGET",
-            help="Point cloud (.ply .xyz .txt .csv .npy .npz) or mesh (.ply .obj .stl .glb .gltf), "
-            "in the frame and unit of the model: its base at the origin, its tip towards +y, its "
-            "width along x.",
-        ),
-    ],
-    out: Annotated[
-        Path,
-        arg(
-            metavar="DIR",
-            help="Folder for fit.json, fit.glb and report.html; made if it does not exist. All of "
-            "them are written or none.",
-        ),
-    ],
-    free: Annotated[
-        UseAppendAction[tuple[str, ...]],
-        arg(
-            metavar="NAME",
-            help="Parameter to fit; repeat it, or separate names by commas. The others keep their "
-            "defaults, or the values of --init. Without it all are fitted that `petalfit "
-            "parameters` does not call fixed.",
-        ),
-    ] = (),
-    init: Annotated[
-        Path | None,
-        arg(metavar="FIT.json", help="An earlier result to start from, instead of searching."),
-    ] = None,
-    noise: Annotated[
-        float | None,
-        arg(
-            metavar="SIGMA",
-            help="Standard deviation of the points, in their unit; estimated if not given.",
-        ),
-    ] = None,
-    seed: Annotated[
-        int, arg(metavar="S", help="Of the random choice of points to start with.")
-    ] = 0,
-    quiet: Annotated[bool, arg(help="Print warnings only.")] = False,
+    target: Target,
+    out: Folder,
+    free: Free = (),
+    init: Init = None,
+    noise: Noise = None,
+    seed: Seed = 0,
+    quiet: Quiet = False,
 ) -> int:
     """Recover the parameters of a petal from a scan."""
-    require(
-        noise is None or (math.isfinite(noise) and noise > 0),
-        f"--noise {noise} is no standard deviation; give a positive number, or leave it out.",
-    )
-    require(seed >= 0, f"--seed {seed} is negative; give 0 or more.")
+    if noise is not None:
+        require_noise(noise, least="a positive number, or leave it out")
+    require_seed(seed)
     from petalfit.cli.compilation_cache import compilation_cache
     from petalfit.cli.console import fit_table, list_files, output, progress, summarise, warn
-    from petalfit.cli.folder import check_folder, written_whole
-    from petalfit.cli.results import CONTENTS, write_results
+    from petalfit.cli.results import CONTENTS, check_folder, write_results, written_whole
     from petalfit.observations import PointCloud
 
     check_folder(out)
@@ -93,7 +95,7 @@ def fit(
         console.print(summarise(result, noise), soft_wrap=True)
         list_files(out, CONTENTS)
     warn(result)
-    return 0 if result.converged else 3
+    return SUCCESS if result.converged else NOT_CONVERGED
 
 
 def _names(free: tuple[str, ...]) -> list[str] | None:
@@ -105,5 +107,14 @@ def _names(free: tuple[str, ...]) -> list[str] | None:
 
 def _model(path: Path) -> "PeonyPetal":
     from petalfit.fitting import FitResult
+    from petalfit.observations import TargetError
 
-    return FitResult.load(path).model  # pyright: ignore[reportReturnType] - fit_petal checks it
+    try:
+        model = FitResult.load(path).model
+        for value in vars(model).values():
+            float(value)
+    except TargetError:
+        raise
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise CommandError(f"{path} is a damaged fit result ({error!r}); fit again.") from error
+    return model  # pyright: ignore[reportReturnType] - fit_petal checks it

@@ -6,14 +6,12 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from petalfit.cli.failure import require
+from petalfit.cli.status import SUCCESS, require
+
+Model = Annotated[Positional[str], arg(metavar="MODEL", help="Name of a component.")]
 
 
-def parameters(
-    model: Annotated[
-        Positional[str], arg(metavar="MODEL", help="Name of a component.")
-    ] = "PeonyPetal",
-) -> int:
+def parameters(model: Model = "PeonyPetal") -> int:
     """List the parameters of a model."""
     from rich import box
     from rich.table import Table
@@ -40,9 +38,9 @@ def parameters(
     for name, parameter in components.parameters(kind).items():
         unit = "" if parameter.unit == "1" else parameter.unit
         meaning = parameter.meaning + (" (fixed unless freed)" if parameter.fixed else "")
-        spans = (f"{low:g} … {high:g}" for low, high in (parameter.bounds, parameter.typical))
+        spans = (f"{low:g} to {high:g}" for low, high in (parameter.bounds, parameter.typical))
         table.add_row(
             name, parameter.symbol, unit, f"{defaults[name]:g}", "\n".join(spans), meaning
         )
     output().print(table)
-    return 0
+    return SUCCESS

@@ -1,7 +1,14 @@
-"""The files of a fit."""
+"""The folder of a fit's results: what is in it, written whole or not at all."""
 
+import os
+import secrets
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from petalfit.cli.status import CommandError, require
 
 if TYPE_CHECKING:
     from petalfit.fitting import FitResult
@@ -25,3 +32,83 @@ def write_results(result: "FitResult", folder: Path) -> None:
     result.save(folder / FIT)
     export_mesh(result, folder / MESH)
     write_report(result, folder / REPORT)
+
+
+def check_folder(folder: Path) -> None:
+    """Finds out before a long fit whether its results can be written.
+
+    Args:
+        folder: where they will go. It and the folders above it need not exist yet.
+
+    Raises:
+        CommandError: there is something else of that name, or no permission.
+    """
+    place = _workplace(folder)
+    require(place.is_dir(), f"{place} is not a folder; choose another --out.")
+    require(
+        os.access(place, os.W_OK | os.X_OK),
+        f"{place} cannot be written to; choose another --out, or change its permissions.",
+    )
+
+
+@contextmanager
+def written_whole(folder: Path) -> Iterator[Path]:
+    """Yields an empty folder to write files into; they move to `folder` when the block ends well.
+
+    If the block raises anything, `KeyboardInterrupt` included, or a file cannot be moved, then
+    nothing stays behind and whatever `folder` held before is untouched. Files of other names in it
+    always are.
+
+    Args:
+        folder: where the files go. It is made if it does not exist, and the folders above it too.
+
+    Yields:
+        The temporary folder.
+
+    Raises:
+        CommandError: the files cannot be written or moved.
+    """
+    final = Path(os.path.realpath(folder))
+    # In the same file system, so that moving is renaming.
+    temporary = _workplace(final) / f".petalfit-{secrets.token_hex(8)}"
+    try:
+        temporary.mkdir()
+        yield temporary
+        if final.is_dir():
+            _move_files(temporary, final)
+        else:
+            final.parent.mkdir(parents=True, exist_ok=True)
+            temporary.rename(final)
+    except OSError as error:
+        reason = error.strerror or error
+        raise CommandError(f"{folder} cannot be written ({reason}); nothing was.") from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _workplace(folder: Path) -> Path:
+    """The folder itself, or the nearest one above it that exists."""
+    final = Path(os.path.realpath(folder))
+    return next(place for place in (final, *final.parents) if os.path.lexists(place))
+
+
+def _move_files(source: Path, folder: Path) -> None:
+    """Moves every file of `source` into `folder`, or none of them."""
+    names = sorted(os.listdir(source))
+    for name in names:
+        require(not (folder / name).is_dir(), f"{folder / name} is a folder; choose another --out.")
+    before = source / "before"
+    before.mkdir()
+    try:
+        for name in names:
+            if os.path.lexists(folder / name):
+                os.replace(folder / name, before / name)
+            os.replace(source / name, folder / name)
+    except BaseException:
+        # By what is where, because an interrupt may fall between any two steps above.
+        for name in names:
+            if os.path.lexists(before / name):
+                os.replace(before / name, folder / name)
+            elif not os.path.lexists(source / name):
+                (folder / name).unlink()
+        raise

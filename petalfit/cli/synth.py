@@ -1,12 +1,12 @@
 """`petalfit synth`: a cloud or a mesh from named parameters."""
 
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import UseAppendAction, arg
 
-from petalfit.cli.failure import CommandError, require
+from petalfit.cli.options import require_noise, require_seed
+from petalfit.cli.status import SUCCESS, CommandError, require
 
 if TYPE_CHECKING:
     from petalfit.components import PeonyPetal
@@ -15,30 +15,33 @@ CLOUDS = (".ply", ".xyz", ".csv", ".npy", ".npz")
 MESHES = (".glb", ".obj", ".stl")
 
 
+File = Annotated[
+    Path,
+    arg(
+        aliases=["-o"],
+        metavar="FILE",
+        help="What to write: a cloud (.ply .xyz .csv .npy .npz) or a mesh (.glb .obj .stl).",
+    ),
+]
+Settings = Annotated[
+    UseAppendAction[tuple[str, ...]],
+    arg(
+        name="set",
+        metavar="NAME=VALUE",
+        help="A parameter's value; repeat it. `petalfit parameters` lists names and defaults.",
+    ),
+]
+Points = Annotated[
+    int | None, arg(metavar="N", help="How many points a cloud has; 1500 without it.")
+]
+Noise = Annotated[
+    float, arg(metavar="SIGMA", help="Standard deviation of every coordinate of a cloud.")
+]
+Seed = Annotated[int, arg(metavar="S", help="Of points and noise.")]
+
+
 def synth(
-    out: Annotated[
-        Path,
-        arg(
-            aliases=["-o"],
-            metavar="FILE",
-            help="What to write: a cloud (.ply .xyz .csv .npy .npz) or a mesh (.glb .obj .stl).",
-        ),
-    ],
-    settings: Annotated[
-        UseAppendAction[tuple[str, ...]],
-        arg(
-            name="set",
-            metavar="NAME=VALUE",
-            help="A parameter's value; repeat it. `petalfit parameters` lists names and defaults.",
-        ),
-    ] = (),
-    points: Annotated[
-        int | None, arg(metavar="N", help="How many points a cloud has; 1500 without it.")
-    ] = None,
-    noise: Annotated[
-        float, arg(metavar="SIGMA", help="Standard deviation of every coordinate of a cloud.")
-    ] = 0.0,
-    seed: Annotated[int, arg(metavar="S", help="Of points and noise.")] = 0,
+    out: File, settings: Settings = (), points: Points = None, noise: Noise = 0.0, seed: Seed = 0
 ) -> int:
     """Make a petal from named parameters, as a cloud or as a mesh."""
     suffix = out.suffix.lower()
@@ -54,11 +57,8 @@ def synth(
         f"{' '.join(CLOUDS)}.",
     )
     require(points is None or points >= 3, f"--points {points} are too few; give 3 or more.")
-    require(
-        math.isfinite(noise) and noise >= 0,
-        f"--noise {noise} is no standard deviation; give 0 or more.",
-    )
-    require(seed >= 0, f"--seed {seed} is negative; give 0 or more.")
+    require_noise(noise)
+    require_seed(seed)
     from petalfit.cli.compilation_cache import compilation_cache
     from petalfit.cli.console import output
 
@@ -76,7 +76,7 @@ def synth(
     what = "mesh" if is_mesh else f"{count} points"
     values = ", ".join(f"{name} {float(value):g}" for name, value in vars(petal).items())
     output().print(f"{out}: {what} of a peony petal, {values}", soft_wrap=True, markup=False)
-    return 0
+    return SUCCESS
 
 
 def _petal(settings: tuple[str, ...]) -> "PeonyPetal":

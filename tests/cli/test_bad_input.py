@@ -70,7 +70,7 @@ def test_target(
     [
         (["--free", "a_x", "--free", "width"], "free names 'width'; the parameters of PeonyPetal"),
         (["--free", ","], "free names no parameter"),
-        (["--noise", "0"], "--noise 0.0 is no standard deviation"),
+        (["--noise", "0"], "--noise 0 is no standard deviation"),
         (["--noise", "nan"], "--noise nan is no standard deviation"),
         (["--seed", "-1"], "--seed -1 is negative"),
         (["--init", "none.json"], "none.json cannot be read as a fit result"),
@@ -89,6 +89,11 @@ INITS: dict[str, tuple[Callable[[dict], object], str]] = {
     "list": (lambda content: [1, 2], "is not a fit result"),
     "format": (_without("format"), "is not a fit result"),
     "version": (lambda content: content | {"version": 99}, "has version 99 of the format"),
+    "missing": (_without("values"), "is a damaged fit result "),
+    "words": (
+        lambda content: content | {"values": content["values"] | {"a_x": "wide"}},
+        "is a damaged fit result",
+    ),
     "outside": (
         lambda content: content | {"values": content["values"] | {"a_x": 250.0}},
         r"a_x = 250 of the start lies outside its range \(1, 100\)",

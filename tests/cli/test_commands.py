@@ -86,7 +86,7 @@ def test_synth_mesh(petalfit: Call, tmp_path: Path, suffix: str) -> None:
         (["-o", "petal.ply", "--set", "a_x=wide"], "gives no number"),
         (["-o", "petal.ply", "--set", "a_x=500"], r"outside the range of a_x, which is (1, 100)"),
         (["-o", "petal.ply", "--set", "a_x=nan"], "outside the range of a_x"),
-        (["-o", "petal.ply", "--noise", "-1"], "--noise -1.0 is no standard deviation"),
+        (["-o", "petal.ply", "--noise", "-1"], "--noise -1 is no standard deviation"),
         (["-o", "petal.ply", "--points", "2"], "--points 2 are too few"),
         (["-o", "petal.ply", "--seed", "-3"], "--seed -3 is negative"),
         (["-o", "petal.glb", "--noise", "0.1"], "is a mesh, which has no --points and no --noise"),
@@ -121,7 +121,7 @@ def test_parameters_come_from_their_declarations(
         row = next(line for line in outcome.out.splitlines() if line.split()[:1] == [name])
         default = float(getattr(pf.PeonyPetal(), name))
         low, high = parameter.bounds
-        for text in parameter.symbol, parameter.meaning, f"{default:g}", f"{low:g} … {high:g}":
+        for text in parameter.symbol, parameter.meaning, f"{default:g}", f"{low:g} to {high:g}":
             assert text in row
         assert ("fixed" in row) == parameter.fixed
     assert petalfit("parameters", "PeonyPetal").out == outcome.out
@@ -170,6 +170,14 @@ def test_values_are_rounded_by_their_errors(
     value: float, error: float, shown: tuple[str, str]
 ) -> None:
     assert with_error(value, error) == shown
+
+
+def test_no_number_is_cut_off(
+    petalfit: Call, tmp_path: Path, instantly: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    instantly()
+    monkeypatch.setenv("COLUMNS", "44")
+    assert "…" not in petalfit("demo", "--out", tmp_path / "demo").out
 
 
 def test_closed_pipe_is_no_error() -> None:

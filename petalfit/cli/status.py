@@ -1,8 +1,14 @@
-"""The one exception that a command raises for options it cannot follow."""
+"""How a command ends: exit statuses, and the exception for options that it cannot follow."""
+
+SUCCESS = 0
+UNUSABLE = 2
+NOT_CONVERGED = 3
+INTERRUPTED = 130
+BROKEN_PIPE = 141
 
 
 class CommandError(Exception):
-    """An option, or a place to write to, that cannot be used.
+    """An option, or a place to write to, that cannot be used; exit status `UNUSABLE`.
 
     The message is a sentence for the terminal: what was wrong, and what to do.
     """
