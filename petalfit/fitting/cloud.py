@@ -32,7 +32,7 @@ class Settled(NamedTuple):
         label: What distinguishes the start.
         state: Where the solver stopped.
         finish: What is known there.
-        values: All parameters of the model, the free ones as fitted.
+        model: The petal, its free parameters as fitted.
         chi2: Comparable between starts: n log of the mean squared distance.
     """
 
