@@ -1,9 +1,8 @@
-"""Compiled programs kept between processes: the second `petalfit fit` does not compile again.
+"""Where compiled programs are kept between processes: the second `petalfit fit` need not compile again.
 
-They lie in a folder of the user's cache, one for each version of jaxlib and kind of processor, and
-are removed, the oldest first, when all of them together grow past `LIMIT`. The environment variable
-PETALFIT_CACHE names another folder; empty, it turns the cache off. A folder that cannot be used
-costs time and nothing else.
+They lie in a folder of the user's cache, one for each kind of processor, and are removed, the oldest
+first, when all of them together grow past `LIMIT`. The environment variable PETALFIT_CACHE names
+another folder; empty, it turns the cache off. A folder that cannot be used costs time and nothing else.
 """
 
 import hashlib
@@ -12,68 +11,45 @@ import platform
 import re
 import subprocess
 import sys
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from importlib.metadata import version
 from pathlib import Path
 
 VARIABLE = "PETALFIT_CACHE"
-# One size of cloud needs about 2 MB. jax's own limit would need another package, filelock.
-LIMIT = 256_000_000
-_TROUBLE = "Error (reading|writing) persistent compilation cache entry"
+LIMIT = 256_000_000  # one size of cloud needs about 3 MB
 
 
 @contextmanager
 def compilation_cache() -> Iterator[bool]:
-    """While the block runs, jax compiles into the cache and out of it.
+    """While the block runs, programs are compiled into the cache and taken out of it.
 
     Yields:
         Whether compiled programs may be there already; if not, the user has to wait.
     """
-    import jax
+    from petalfit.compilation import ExecutableStore, use_store
 
-    settings = {
-        "jax_compilation_cache_dir": _usable_folder(),
-        "jax_persistent_cache_min_compile_time_secs": 0.0,
-        "jax_persistent_cache_min_entry_size_bytes": 0,
-        "jax_persistent_cache_enable_xla_caches": "none",  # those are for GPUs
-    }
-    before = {name: getattr(jax.config, name) for name in settings}
-    folder = settings["jax_compilation_cache_dir"]
+    folder = _usable_folder()
     if folder is None:
-        yield before["jax_compilation_cache_dir"] is not None
+        yield False
         return
-    _update(settings)
-    try:
-        with _heeding_trouble(Path(folder)):
-            yield any(Path(folder).iterdir())
-    finally:
-        _update(before)
+    with use_store(ExecutableStore(folder)):
+        yield any(folder.iterdir())
 
 
-def _update(settings: dict[str, object]) -> None:
-    import jax
-
-    for name, value in settings.items():
-        jax.config.update(name, value)
-
-
-def _usable_folder() -> str | None:
-    """The folder of this jaxlib and processor, made if need be; None for no cache of ours."""
+def _usable_folder() -> Path | None:
+    """The folder for this processor, made if need be; None for no cache."""
     root = os.environ.get(VARIABLE)
-    # Somebody who set up jax's cache wants it used.
-    if root == "" or (root is None and os.environ.get("JAX_COMPILATION_CACHE_DIR")):
+    if root == "":
         return None
     try:
         root = user_cache() if root is None else Path(root).absolute()
-        folder = root / f"jaxlib-{version('jaxlib')}-{_processor()}"
+        folder = root / f"programs-{_processor()}"
         # Whoever can write there can make us run anything.
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         _prune(root)
     except (OSError, RuntimeError):  # RuntimeError: of a user without a home
         return None
-    return str(folder) if os.access(folder, os.R_OK | os.W_OK | os.X_OK) else None
+    return folder if os.access(folder, os.R_OK | os.W_OK | os.X_OK) else None
 
 
 def user_cache() -> Path:
@@ -106,7 +82,7 @@ def _processor() -> str:
 
 def _prune(root: Path) -> None:
     """Removes the oldest files if there is too much, down to half of the limit."""
-    status = {path: path.stat() for path in root.glob("jaxlib-*/*")}
+    status = {path: path.stat() for path in root.glob("programs-*/*")}
     size = sum(entry.st_size for entry in status.values())
     if size <= LIMIT:
         return
@@ -115,31 +91,3 @@ def _prune(root: Path) -> None:
         size -= status[path].st_size
         if size <= LIMIT // 2:
             break
-
-
-@contextmanager
-def _heeding_trouble(folder: Path) -> Iterator[None]:
-    """Keeps jax's warnings about the cache from the user, and empties a cache that is damaged.
-
-    jax never replaces an entry, so one cut short, by a full disk say, would stay so.
-    """
-    unreadable = []
-    with warnings.catch_warnings():
-        warnings.filterwarnings("always", _TROUBLE)
-        show = warnings.showwarning
-
-        def note(message, category, filename, lineno, file=None, line=None) -> None:
-            trouble = re.match(_TROUBLE, str(message))
-            if trouble is None:
-                show(message, category, filename, lineno, file, line)
-            elif trouble[1] == "reading":
-                unreadable.append(message)
-
-        warnings.showwarning = note
-        try:
-            yield
-        finally:
-            if unreadable:
-                for path in folder.iterdir():
-                    with suppress(OSError):
-                        path.unlink()

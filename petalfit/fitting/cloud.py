@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from petalfit.components import PeonyPetal
 from petalfit.fitting import peony_start, programs
 from petalfit.fitting.coordinates import Coordinates
-from petalfit.fitting.peony_start import HEIGHTS, OUTLINE, RIBS, with_values
-from petalfit.fitting.solve import Data, State
+from petalfit.fitting.peony_start import HEIGHTS, RIBS, with_values
+from petalfit.fitting.survey import Data
+from petalfit.residuals import perturbation
 
 # Points that a start is found with. Enough for the ribs, which are fine; and small clouds are fitted
 # with programs of a single size.
@@ -25,21 +26,49 @@ _CLEAR_LEAD = 50.0
 Progress = Callable[[str], None]
 
 
+class Polished(NamedTuple):
+    """Where the solver stopped.
+
+    Attributes:
+        model: The petal.
+        uv: Foot points.
+        sigma: Noise, given or estimated.
+        rounds: How many rounds were made.
+        moved: By how much the last ones moved, in standard errors, the largest over the directions.
+    """
+
+    model: PeonyPetal
+    uv: Array
+    sigma: float
+    rounds: int
+    moved: float
+
+
 class Settled(NamedTuple):
     """One start, followed to its end.
 
     Attributes:
         label: What distinguishes the start.
-        state: Where the solver stopped.
-        finish: What is known there.
-        model: The petal, its free parameters as fitted.
+        model: The petal, with the bias that curvature and noise cause removed.
+        information: Fisher information of its free parameters.
+        distance: Signed normal distances, shape (n,).
+        beyond: Distance beyond the nearer edges, positive outside, shape (n,).
+        uv: Foot points, shape (n, 2).
+        sigma: Noise, given or estimated.
+        rounds: How many rounds the solver made.
+        moved: By how much the last ones moved, in standard errors, the largest over the directions.
         chi2: Comparable between starts: n log of the mean squared distance.
     """
 
     label: str
-    state: State
-    finish: programs.Finish
     model: PeonyPetal
+    information: Float[np.ndarray, "p p"]
+    distance: Float[np.ndarray, " n"]
+    beyond: Float[np.ndarray, " n"]
+    uv: Float[np.ndarray, "n 2"]
+    sigma: float
+    rounds: int
+    moved: float
     chi2: float
 
 
@@ -57,6 +86,16 @@ def pad(points: np.ndarray, weights: np.ndarray, noise: float | None) -> Data:
         jnp.asarray(np.concatenate([weights, np.zeros(extra)])),
         jnp.asarray(np.nan if noise is None else float(noise)),
     )
+
+
+def plane_feet(petal: PeonyPetal, points: Float[Array, "n 3"]) -> Float[Array, "n 2"]:
+    """(u, v) of a petal straight below or above the points: a start for their foot points.
+
+    Sought at the nearest place of the surface itself, many would end on the wrong rib.
+    """
+    flat = peony_start.flat(petal)
+    below = np.asarray(points) * np.array([1.0, 1.0, 0.0])
+    return programs.refine(flat, below, programs.nearest(flat, below), 6)
 
 
 def fit_cloud(
@@ -86,16 +125,39 @@ def fit_cloud(
         What each start reached, the best first. Call it inside `jax.enable_x64(True)`.
     """
     coordinates = Coordinates.of(template, free)
+    everything, used = points, weights > 0
+    points, weights = points[used], weights[used]
+    order = np.random.default_rng(seed).permutation(len(points))
     if from_template:
         starts = [("given", coordinates.template)]
     else:
-        order = np.random.default_rng(seed).permutation(np.flatnonzero(weights > 0))
         starts = [*_starts(coordinates, points, weights, order, noise, progress)]
     ends = []
     for label, model in starts:
         progress(f"polishing from {label}")
-        ends.append(_settle(coordinates, label, model, points, weights, noise, seed))
-    return sorted(ends, key=lambda end: end.chi2)
+        ends.append(_settle(coordinates, label, model, points, weights, order, noise))
+    best, *others = sorted(ends, key=lambda end: end.chi2)
+    return [_with_unused(coordinates, best, everything, used), *others]
+
+
+def _with_unused(
+    coordinates: Coordinates[PeonyPetal], end: Settled, points: np.ndarray, used: np.ndarray
+) -> Settled:
+    """The distances of all points, those without weight included."""
+    if used.all():
+        return end
+    rest = np.flatnonzero(~used)
+    data = pad(points[rest], np.ones(len(rest)), end.sigma)
+    uv = programs.refine(end.model, data.points, plane_feet(end.model, data.points), 3)
+    seen = programs.survey(coordinates, data, coordinates.inverse(end.model), uv)
+    there = (np.asarray(seen.distance), np.max(np.asarray(seen.beyond), axis=-1), np.asarray(uv))
+    back = np.argsort(np.concatenate([np.flatnonzero(used), rest]))
+    known = (end.distance, end.beyond, end.uv)
+    count = np.count_nonzero(used)
+    distance, beyond, uv = (
+        np.concatenate([a[:count], b[: len(rest)]])[back] for a, b in zip(known, there, strict=True)
+    )
+    return end._replace(distance=distance, beyond=beyond, uv=uv)
 
 
 def _starts(
@@ -108,34 +170,51 @@ def _starts(
 ) -> Iterator[tuple[str, PeonyPetal]]:
     """Petals to polish: one for each rib frequency that the cloud leaves open."""
     template, free = coordinates.template, coordinates.free
-    is_free = {name: jnp.asarray(name in free) for name in vars(template)}
     some = order[:_START_POINTS]
     data = pad(points[some], weights[some], None)
     progress("searching the outline")
-    outline = programs.fit_outline(template, is_free, data.points, data.weights)
-    flat = peony_start.flat(template, outline)
-    uv = programs.plane_feet(flat, data.points)
-    heights = programs.fit_heights(flat, template, is_free, data.points, data.weights, uv)
-    names = (*OUTLINE, *HEIGHTS)
-    values = [*jnp.unstack(outline), *jnp.unstack(heights)]
-    smooth = with_values(template, dict(zip(names, values, strict=True)))
-    smooth = with_values(smooth, {"rib_amplitude": jnp.zeros(())})
-    held = coordinates.holding(RIBS)
-    held = eqx.tree_at(lambda c: c.template, held, smooth)
-    state = programs.solve_compiled(held, data, held.inverse(held.gather(smooth)), uv, 6, 3.0)
-    smooth = with_values(held.model(state.t), {"rib_amplitude": jnp.zeros(())})
+    rough = peony_start.fit_outline(template, free, points[some])
+    rough, uv = _with_heights(coordinates, rough, data)
+    smooth = with_values(rough, {"rib_amplitude": 0.0})
+    held = coordinates.holding(RIBS).around(smooth)
+    polished = _solve(held, smooth, data, uv, 8, 1.0)
+    smooth = polished.model
     if not set(RIBS) & set(free):
         yield "the outline", with_values(smooth, {"rib_amplitude": template.rib_amplitude})
         return
     progress("searching the rib frequency")
-    uv = programs.refine(smooth, data.points, state.uv, 2)
-    basins = programs.find_ribs(smooth, is_free["rib_frequency"], data.points, data.weights, uv)
-    lead = (basins.gain[0] - basins.gain) / basins.variance
-    for frequency, amplitude, behind in zip(basins.frequency, basins.amplitude, lead, strict=True):
-        if behind <= _CLEAR_LEAD:
-            label = f"rib_frequency {float(frequency):.2f}"
+    uv = programs.refine(smooth, data.points, polished.uv, 2)
+    seen = programs.survey(held, data, held.inverse(smooth), uv)
+    basins = peony_start.rib_periodogram(
+        None if "rib_frequency" in free else float(template.rib_frequency),
+        *map(np.asarray, (seen.distance, seen.normal, data.weights, uv)),
+    )
+    for frequency, amplitude, gain in basins:
+        if basins[0].gain - gain <= _CLEAR_LEAD:
             ribs = {"rib_frequency": frequency, "rib_amplitude": amplitude}
-            yield label, with_values(smooth, ribs)
+            yield f"rib_frequency {frequency:.2f}", with_values(smooth, ribs)
+
+
+def _with_heights(
+    coordinates: Coordinates[PeonyPetal], outline: PeonyPetal, data: Data
+) -> tuple[PeonyPetal, Array]:
+    """The petal with the heights that its outline leaves, and foot points straight below the data."""
+    names = [name for name in HEIGHTS if name in coordinates.free]
+    flat = with_values(outline, dict.fromkeys((*names, "rib_amplitude"), 0.0))
+    uv = plane_feet(flat, data.points)
+    if not names:
+        return flat, uv
+    here = coordinates.around(flat)
+    t = here.inverse(flat)
+    seen = programs.survey(here, data, t, uv)
+    # Straight above its foot a point has the distance n_z (z - S_z), and S_z is linear in the heights.
+    n_z = np.asarray(seen.normal)[:, 2]
+    n_z = np.where(np.abs(n_z) > 1e-3, n_z, np.inf)
+    columns = [coordinates.free.index(name) for name in names]
+    basis = -np.asarray(seen.slopes)[:, columns] / here.slopes(t)[columns] / n_z[:, None]
+    heights, weights = np.asarray(seen.distance) / n_z, np.asarray(data.weights)
+    amplitudes = peony_start.fit_amplitudes(heights, basis, weights)
+    return with_values(flat, dict(zip(names, amplitudes, strict=True))), uv
 
 
 def _settle(
@@ -144,29 +223,112 @@ def _settle(
     model: PeonyPetal,
     points: np.ndarray,
     weights: np.ndarray,
+    order: np.ndarray,
     noise: float | None,
-    seed: int,
 ) -> Settled:
     """Polish on ever more points: each stage starts within a few standard errors of its end."""
-    t = coordinates.inverse(coordinates.gather(model))
-    order = np.random.default_rng(seed).permutation(np.flatnonzero(weights > 0))
     if len(order) > 2 * _START_POINTS:
         some = order[:_START_POINTS]
         data = pad(points[some], weights[some], noise)
-        uv = programs.plane_feet(coordinates.model(t), data.points)
-        t = programs.solve_compiled(coordinates, data, t, uv, 10, 0.1).t
+        model = _solve(coordinates, model, data, plane_feet(model, data.points), 10, 0.1).model
     data = pad(points, weights, noise)
     some = order[:_BIAS_POINTS]
     sample = data if len(order) <= _BIAS_POINTS else pad(points[some], weights[some], noise)
-    uv = programs.plane_feet(coordinates.model(t), data.points)
-    state = programs.solve_compiled(coordinates, data, t, uv, _ROUNDS, _TOLERANCE)
-    finish = programs.finish(coordinates, data, state, sample)
-    values = dict(zip(coordinates.free, finish.values, strict=True))
-    residual = data.weights * (finish.distance**2 + jnp.maximum(finish.beyond, 0.0) ** 2)
-    total = float(jnp.sum(data.weights))
-    chi2 = total * float(jnp.log(jnp.sum(residual) / total))
-    return Settled(label, state, finish, with_values(coordinates.template, values), chi2)
+    uv = plane_feet(model, data.points)
+    polished = _solve(coordinates, model, data, uv, _ROUNDS, _TOLERANCE)
+    return _finish(coordinates, label, polished, data, sample)
+
+
+def _solve(
+    coordinates: Coordinates[PeonyPetal],
+    model: PeonyPetal,
+    data: Data,
+    uv: Array,
+    max_rounds: int,
+    tolerance: float,
+) -> Polished:
+    """Rounds of the solver, between which foot points look for better places far away.
+
+    Later they do not: a foot point that jumps to and fro must not keep the rest moving.
+    """
+    t, rounds, whitening = coordinates.inverse(model), 0, None
+    while True:
+        uv = programs.refine(model, data.points, uv, 2)
+        if whitening is None:
+            whitening = np.asarray(programs.survey(coordinates, data, t, uv).whitening)
+        few = 2 if rounds < _LOOKING_ROUNDS else max_rounds
+        few = min(few, max_rounds - rounds)
+        state = programs.solve(coordinates, data, t, uv, whitening, few, tolerance)
+        before, t, uv = t, np.asarray(state.t), state.uv
+        step = np.linalg.solve(float(state.sigma) * whitening, t - before)
+        moved = float(np.max(np.abs(step)))
+        rounds += int(state.rounds)
+        model = coordinates.model(t)
+        if not moved > tolerance or rounds >= max_rounds:
+            return Polished(model, uv, float(state.sigma), rounds, moved)
+
+
+def _finish(
+    coordinates: Coordinates[PeonyPetal],
+    label: str,
+    polished: Polished,
+    data: Data,
+    sample: Data,
+) -> Settled:
+    """Remove the bias, and look at the result with converged foot points.
+
+    Args:
+        coordinates: The free parameters.
+        label: Of the start.
+        polished: Where the solver stopped.
+        data: The cloud.
+        sample: The cloud, or a part of it that is large enough to measure the bias on.
+    """
+    model, t = polished.model, coordinates.inverse(polished.model)
+    uv = programs.refine(model, data.points, polished.uv, 1)
+    seen = programs.survey(coordinates, data, t, uv)
+    information = np.asarray(seen.information)
+    places, position = uv, np.asarray(seen.position)
+    if sample is not data:
+        places = plane_feet(model, sample.points)
+        places = programs.refine(model, sample.points, places, 3)
+        position = np.asarray(programs.survey(coordinates, sample, t, places).position)
+    noise = polished.sigma * perturbation(np.asarray(places))
+    weights, sample_weights = np.asarray(data.weights), np.asarray(sample.weights)
+    score = np.zeros(len(t))
+    for moved in (position + noise, position - noise):
+        around = sample._replace(points=jnp.asarray(moved))
+        feet = programs.refine(model, moved, places, 3)
+        blurred = programs.survey(coordinates, around, t, feet)
+        score += np.asarray(blurred.slopes).T @ (sample_weights * np.asarray(blurred.distance)) / 2
+    share = np.sum(sample_weights) / np.sum(weights)
+    score /= share * float(seen.sigma) ** 2
+    values, slopes = coordinates.values(t), coordinates.slopes(t)
+    step = np.linalg.solve(information + np.eye(len(t)), score)
+    # A bias of more than a few standard errors is not a small correction any more.
+    size = np.sqrt(step @ information @ step / len(step))
+    if np.isfinite(size):
+        t = t + step * min(1.0, 3.0 / max(size, 1e-300))
+        # The foot points move only along the surface, which changes no distance to first order.
+        seen = programs.survey(coordinates, data, t, uv)
+        values = coordinates.values(t)
+    distance, beyond = np.asarray(seen.distance), np.max(np.asarray(seen.beyond), axis=-1)
+    residual = weights * (distance**2 + np.maximum(beyond, 0.0) ** 2)
+    total = float(np.sum(weights))
+    return Settled(
+        label,
+        with_values(coordinates.template, dict(zip(coordinates.free, values, strict=True))),
+        information / np.outer(slopes, slopes),
+        distance,
+        beyond,
+        np.asarray(uv),
+        polished.sigma,
+        polished.rounds,
+        polished.moved,
+        total * float(np.log(np.sum(residual) / total)),
+    )
 
 
 _ROUNDS = 30
+_LOOKING_ROUNDS = 16
 _TOLERANCE = 1e-2  # standard errors

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Generic, TypeVar
+from typing import Generic, TypeAlias, TypeVar
 
 import equinox as eqx
 import jax
@@ -15,6 +15,8 @@ from petalfit.components import parameters
 from petalfit.surfaces import AbstractSurface
 
 Model = TypeVar("Model", bound=AbstractSurface)
+# NumPy's outside of compiled programs: there jax would compile every little operation.
+Numbers: TypeAlias = Array | np.ndarray
 
 
 class Coordinates(eqx.Module, Generic[Model]):
@@ -32,10 +34,10 @@ class Coordinates(eqx.Module, Generic[Model]):
 
     template: Model
     free: tuple[str, ...] = eqx.field(static=True)
-    middle: Float[Array, " p"]
-    half: Float[Array, " p"]
-    scale: Float[Array, " p"]
-    active: Float[Array, " p"]
+    middle: Float[Numbers, " p"]
+    half: Float[Numbers, " p"]
+    scale: Float[Numbers, " p"]
+    active: Float[Numbers, " p"]
 
     @classmethod
     def of(cls, model: Model, free: tuple[str, ...]) -> Coordinates[Model]:
@@ -45,29 +47,33 @@ class Coordinates(eqx.Module, Generic[Model]):
         typical = np.array([p.typical for p in declared])
         half = 0.5 * (high - low)
         scale = (typical[:, 1] - typical[:, 0]) / np.sqrt(12) / half
-        arrays = (0.5 * (low + high), half, scale, np.ones(len(free)))
-        return cls(_arrays(model), free, *map(jnp.asarray, arrays))
+        return cls(_arrays(model), free, 0.5 * (low + high), half, scale, np.ones(len(free)))
+
+    def around(self, model: Model) -> Coordinates[Model]:
+        """The same coordinates with another template."""
+        return eqx.tree_at(lambda c: c.template, self, _arrays(model))
 
     def holding(self, names: Iterable[str]) -> Coordinates[Model]:
         """The same coordinates with the named parameters held: same shapes, same compiled code."""
-        active = jnp.array([float(name not in names) for name in self.free])
+        active = np.array([float(name not in names) for name in self.free])
         return eqx.tree_at(lambda c: c.active, self, active)
 
-    def values(self, t: Float[Array, " p"]) -> Float[Array, " p"]:
+    def values(self, t: Float[Numbers, " p"]) -> Float[Numbers, " p"]:
         """Parameter values at the coordinates t."""
         s = self.scale * t
-        return self.middle + self.half * s / jnp.sqrt(1 + s**2)
+        return self.middle + self.half * s * (1 + s**2) ** -0.5
 
-    def slopes(self, t: Float[Array, " p"]) -> Float[Array, " p"]:
+    def slopes(self, t: Float[Numbers, " p"]) -> Float[Numbers, " p"]:
         """dθ/dt at the coordinates t; zero for what is held."""
         return self.active * self.half * self.scale * (1 + (self.scale * t) ** 2) ** -1.5
 
-    def inverse(self, values: Float[Array, " p"]) -> Float[Array, " p"]:
-        """Coordinates of parameter values, which are first moved inside their bounds."""
-        x = jnp.clip((values - self.middle) / self.half, -0.999, 0.999)
-        return x / jnp.sqrt(1 - x**2) / self.scale
+    def inverse(self, model: Model) -> Float[np.ndarray, " p"]:
+        """Coordinates of a model's free parameters, which are first moved inside their bounds."""
+        values = np.array([getattr(model, name) for name in self.free])
+        x = np.clip((values - self.middle) / self.half, -0.999, 0.999)
+        return x / np.sqrt(1 - x**2) / self.scale
 
-    def model(self, t: Float[Array, " p"]) -> Model:
+    def model(self, t: Float[Numbers, " p"]) -> Model:
         """The model at the coordinates t."""
         values = self.values(t)
         where = lambda model: [getattr(model, name) for name in self.free]  # noqa: E731
@@ -80,4 +86,4 @@ class Coordinates(eqx.Module, Generic[Model]):
 
 def _arrays(model: Model) -> Model:
     """The model with strongly typed leaves, so that equal shapes mean the same compiled program."""
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), model)
+    return jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), model)

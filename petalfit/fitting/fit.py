@@ -89,7 +89,6 @@ def fit(
             seed=seed,
             progress=progress or (lambda text: None),
         )
-        ends = jax.tree.map(lambda x: np.asarray(x) if isinstance(x, jax.Array) else x, ends)
     result = _result(template, names, cloud, weights, noise, ends)
     if throw and not result.converged:
         raise FitError(result.message, result)
@@ -178,20 +177,19 @@ def _result(
 ) -> FitResult:
     best = ends[0]
     n = len(cloud)
-    finish = best.finish
-    beyond = np.maximum(finish.beyond[:n], 0.0)
+    beyond = np.maximum(best.beyond[:n], 0.0)
     distances = np.where(
         beyond > 0,
-        np.copysign(np.hypot(finish.distance[:n], beyond), finish.distance[:n]),
-        finish.distance[:n],
+        np.copysign(np.hypot(best.distance[:n], beyond), best.distance[:n]),
+        best.distance[:n],
     )
     declared = parameters(template)
     finite = bool(
-        np.isfinite(finish.values).all()
-        and np.isfinite(finish.information).all()
+        np.isfinite([*vars(best.model).values()]).all()
+        and np.isfinite(best.information).all()
         and np.isfinite(distances).all()
     )
-    settled = finite and bool(best.state.moved <= _SETTLED)
+    settled = finite and bool(best.moved <= _SETTLED)
     rms = math.sqrt(np.average(distances**2, weights=weights)) if finite else math.inf
     misfit = rms > max(_MISFIT * cloud.diagonal, 1.5 * (noise or 0.0))
     status = (
@@ -208,20 +206,20 @@ def _result(
         name: float(getattr(best.model, name)) if finite else float(getattr(template, name))
         for name in declared
     }
-    sigma = float(best.state.sigma)
+    sigma = best.sigma
     stderr = dict(zip(names, map(float, np.sqrt(np.diag(covariance))), strict=True))
-    flips = settled and float(best.state.moved) > 0.05
+    flips = settled and best.moved > 0.05
     warnings = [
-        *([f"parameters flip by {float(best.state.moved):.2g} standard errors"] if flips else []),
+        *([f"parameters flip by {best.moved:.2g} standard errors"] if flips else []),
         *_bound_warnings(values, names, declared),
         *(f"{name} is not determined by this target" for name in names if not identifiable[name]),
         *_distance_warnings(cloud, distances, weights, rms, noise),
         *_coverage_warnings(best, weights),
     ]
     message = {
-        "converged": f"converged after {int(best.state.rounds)} rounds",
-        "round_limit": f"not converged after {int(best.state.rounds)} rounds: parameters still move "
-        f"by {float(best.state.moved):.2g} standard errors",
+        "converged": f"converged after {best.rounds} rounds",
+        "round_limit": f"not converged after {best.rounds} rounds: parameters still move "
+        f"by {best.moved:.2g} standard errors",
         "misfit": f"no petal of this model fits: distances are {100 * rms / cloud.diagonal:.1f} % of the "
         "target's diagonal; either it is not in the model's frame and unit (pose='known'), or it has "
         "another shape",
@@ -243,7 +241,7 @@ def _result(
         status=status,
         message="; ".join([message, *warnings]),
         warnings=tuple(warnings),
-        steps=int(best.state.rounds),
+        steps=best.rounds,
         starts=tuple(
             Start(
                 end.label,
@@ -267,7 +265,7 @@ def _covariance(
     spread = np.array([np.ptp(declared[name].typical) for name in names]) / math.sqrt(12)
     if not finite:
         return np.full((len(names), len(names)), np.inf), dict.fromkeys(names, False)
-    scaled = ends[0].finish.information * np.outer(spread, spread)
+    scaled = ends[0].information * np.outer(spread, spread)
     # Directions of no information at all keep a variance of 1e16 instead of a division by zero.
     eigenvalues, vectors = np.linalg.eigh(scaled)
     relative = (vectors / np.maximum(eigenvalues, 1e-16)) @ vectors.T
@@ -335,7 +333,7 @@ def _coverage_warnings(best: Settled, weights: np.ndarray) -> list[str]:
     """A part of the surface without data, seen in 4 × 4 parts of the domain."""
     (u_low, u_high), (v_low, v_high) = best.model.domain
     used = np.flatnonzero(weights > 0)
-    u, v = best.finish.uv[used].T
+    u, v = best.uv[used].T
     counts, *_ = np.histogram2d(u, v, bins=4, range=[[u_low, u_high], [v_low, v_high]])
     empty = np.count_nonzero(counts == 0) / counts.size
     if empty <= _EMPTY or len(used) < 8 * counts.size:

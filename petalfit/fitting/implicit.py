@@ -12,8 +12,18 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from petalfit.fitting.coordinates import Coordinates
-from petalfit.fitting.solve import Data, estimate_sigma, solve
-from petalfit.residuals import edge_pull, edge_score, frame, pull_back, refine_foot_points
+from petalfit.fitting.solve import solve
+from petalfit.fitting.survey import Data, estimate_sigma, survey
+from petalfit.residuals import (
+    EDGE_NODES,
+    edge_nodes,
+    edge_pull,
+    edge_score,
+    frame,
+    half_squared_distance,
+    pull_back,
+    slide_foot_points,
+)
 from petalfit.surfaces import AbstractSurface
 
 
@@ -39,7 +49,7 @@ def solve_differentiably(
         The coordinates t of the minimum; `coordinates.values` turns them into parameters.
     """
     held = jax.lax.stop_gradient((coordinates, data, t, uv))
-    settled = solve(*held, max_rounds, tolerance)
+    settled = solve(*held, survey(*held).whitening, max_rounds, tolerance)
     settled = jax.lax.stop_gradient(settled)
 
     def gradient(t: Array) -> Array:
@@ -65,30 +75,31 @@ def cost_gradient(
     model = coordinates.model(t)
     uv = _implicit_foot_points(model, data.points, uv)
     here = frame(model, uv)
-    offset = data.points - here.position
-    distance = jnp.sum(here.normal * offset, axis=-1)
+    distance = here.distance(data.points)
     sigma = estimate_sigma(data, distance, len(t))
-    beyond = jnp.sum(here.conormals * offset[:, None, :], axis=-1) - here.left
-    score = edge_score(beyond / sigma)
+    score = edge_score(here.beyond(data.points) / sigma)
     covectors = here.normal * (distance / sigma)[:, None]
     covectors = (covectors + jnp.sum(score[..., None] * here.conormals, axis=1)) / sigma
-    pulled = pull_back(model, uv, -data.weights[:, None] * covectors)
-    pull = coordinates.gather(edge_pull(model, uv, data.weights))
-    return coordinates.slopes(t) * (jnp.sum(coordinates.gather(pulled), axis=0) + pull)
+    nodes = jnp.asarray(edge_nodes(model.domain), uv.dtype)
+    pull = edge_pull(model.domain, frame(model, nodes), uv, data.weights)
+    pulled = pull_back(
+        model,
+        jnp.concatenate([uv, nodes[:EDGE_NODES]]),
+        jnp.concatenate([-data.weights[:, None] * covectors, pull]),
+    )
+    return jnp.sum(coordinates.gather(pulled), axis=0) * jnp.asarray(coordinates.slopes(t))
 
 
 def _implicit_foot_points(model: AbstractSurface, points: Array, uv: Array) -> Array:
     """Foot points with the right first derivatives: one Newton step whose matrix is held."""
-    uv = refine_foot_points(*jax.lax.stop_gradient((model, points, uv)), 4, elsewhere=False)
+    uv = slide_foot_points(*jax.lax.stop_gradient((model, points, uv)), 8)
     low, high = (jnp.asarray(side, points.dtype) for side in zip(*model.domain, strict=True))
-
-    def half_squared_distance(uv: Array, x: Array) -> Array:
-        return 0.5 * jnp.sum((model.position(uv[0], uv[1]) - x) ** 2)
 
     @jax.vmap
     def newton(uv: Array, x: Array) -> Array:
-        gradient = jax.grad(half_squared_distance)(uv, x)
-        hessian = jax.lax.stop_gradient(jax.hessian(half_squared_distance)(uv, x))
+        gradient = jax.grad(half_squared_distance, 1)(model, uv, x)
+        hessian = jax.hessian(half_squared_distance, 1)(model, uv, x)
+        hessian = jax.lax.stop_gradient(hessian)
         moves = ((uv > low) | (gradient < 0)) & ((uv < high) | (gradient > 0))
         hessian = jnp.where(jnp.outer(moves, moves), hessian, jnp.diag(1.0 * ~moves))
         return uv - jnp.linalg.solve(hessian, jnp.where(moves, gradient, 0.0))

@@ -5,11 +5,11 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+from statistics import NormalDist
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float64
-from scipy.stats import norm
 
 from petalfit import components
 from petalfit.components import parameters
@@ -127,7 +127,7 @@ class FitResult:
         """
         if not 0 < level < 1:
             raise ValueError(f"level must lie between 0 and 1; received {level}")
-        reach = float(norm.ppf(0.5 + 0.5 * level))
+        reach = float(NormalDist().inv_cdf(0.5 + 0.5 * level))
         return {
             name: (self.values[name] - reach * error, self.values[name] + reach * error)
             for name, error in self.stderr.items()

@@ -5,24 +5,27 @@ Everything here can be jitted, mapped and differentiated; shapes are static, dat
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import lineax as lx
+import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
 from petalfit.fitting.coordinates import Coordinates
+from petalfit.fitting.survey import Data, estimate_sigma
 from petalfit.residuals import (
+    EDGE_NODES,
     Frame,
+    edge_nodes,
     edge_pull,
     edge_residual,
     edge_score,
     frame,
     pull_back,
-    refine_foot_points,
+    slide_foot_points,
 )
 from petalfit.surfaces import AbstractSurface
 
@@ -31,21 +34,7 @@ from petalfit.surfaces import AbstractSurface
 _GAIN = 15.0
 # Edges are looked at for the nearest quarter of the points, but never for fewer than this.
 _FEW = 256
-_JUMPING_ROUNDS = 8
-
-
-class Data(NamedTuple):
-    """A cloud as the core sees it, padded to a fixed size with zero weights.
-
-    Attributes:
-        points: Shape (n, 3), in the model's frame.
-        weights: How many observations each point counts for; zero for padding.
-        sigma: Standard deviation of the noise, in the unit of length; NaN to estimate it.
-    """
-
-    points: Float[Array, "n 3"]
-    weights: Float[Array, " n"]
-    sigma: Float[Array, ""]
+_FREE_ROUNDS = 8
 
 
 class State(NamedTuple):
@@ -95,6 +84,7 @@ def solve(
     data: Data,
     t: Float[Array, " p"],
     uv: Float[Array, "n 2"],
+    whitening: Float[Array, "p p"],
     max_rounds: int | Int[Array, ""],
     tolerance: float | Float[Array, ""],
 ) -> State:
@@ -109,23 +99,21 @@ def solve(
         data: The cloud.
         t: Start.
         uv: Start of the foot points.
+        whitening: From a `Survey` near the start.
         max_rounds: Upper bound of the rounds.
         tolerance: Stop when no parameter moves by more than this many standard errors.
 
     Returns:
         The state after the last round. Its `uv` belong to the parameters before the last step.
     """
-    whiten = _whitening(coordinates, data, t, uv)
 
     def go_on(state: State) -> Bool[Array, ""]:
         return (state.rounds < max_rounds) & ~(state.moved <= tolerance)
 
     def one_round(state: State) -> State:
         model = coordinates.model(state.t)
-        # Later, a foot point that jumps to and fro between two sheets must not keep the rest moving.
-        jump = state.rounds < _JUMPING_ROUNDS
-        uv = refine_foot_points(model, data.points, state.uv, 2, elsewhere=jump)
-        frozen = _freeze(coordinates, data, state.t, uv, whiten, state.gain)
+        uv = slide_foot_points(model, data.points, state.uv, 2)
+        frozen = _freeze(coordinates, data, state.t, uv, whitening, state.gain)
         solution = optx.least_squares(
             _residuals,
             optx.LevenbergMarquardt(rtol=1e-2, atol=1e-2, linear_solver=lx.Normal(lx.Cholesky())),
@@ -140,7 +128,7 @@ def solve(
         nowhere = state.gain < _GAIN / 8**3
         moved = jnp.where(stuck & ~nowhere, jnp.inf, jnp.max(jnp.abs(z)))
         # Halved steps, later, calm a point that flips between two rounds.
-        z = jnp.where(state.rounds < _JUMPING_ROUNDS, z, 0.5 * z)
+        z = jnp.where(state.rounds < _FREE_ROUNDS, z, 0.5 * z)
         gain = jnp.where(stuck, state.gain / 8, jnp.minimum(state.gain * 2, _GAIN))
         return State(frozen.place(z), uv, frozen.sigma, state.rounds + 1, moved, gain)
 
@@ -149,64 +137,32 @@ def solve(
     return jax.lax.while_loop(go_on, one_round, start)
 
 
-def estimate_sigma(data: Data, distance: Float[Array, " n"], free: int) -> Float[Array, ""]:
-    """√(Σ w d² / (Σ w − p)), or the noise that was given; never below 1e-9 of the extent."""
-    count = jnp.sum(data.weights)
-    variance = jnp.sum(data.weights * distance**2) / jnp.maximum(count - free, 1)
-    extent = jnp.max(jnp.abs(data.points))
-    estimated = jnp.maximum(jnp.sqrt(variance), 1e-9 * extent)
-    return jnp.where(jnp.isnan(data.sigma), estimated, data.sigma)
-
-
-def information(
-    coordinates: Coordinates, data: Data, t: Float[Array, " p"], uv: Float[Array, "n 2"]
-) -> tuple[Float[Array, "p p"], Float[Array, ""]]:
-    """Fisher information of the coordinates t, and the noise σ that it was computed with.
-
-    Normal distances count by their Jacobian, points near the edge by the square of their score.
-    """
-    model = coordinates.model(t)
-    here = frame(model, uv)
-    offset = data.points - here.position
-    sigma = estimate_sigma(data, jnp.sum(here.normal * offset, axis=-1), len(t))
-    beyond = jnp.sum(here.conormals * offset[:, None, :], axis=-1) - here.left
-    edge = jnp.sum(edge_score(beyond / sigma)[..., None] * here.conormals, axis=1)
-    covectors = jnp.concatenate([here.normal, edge]) / sigma
-    covectors = covectors * jnp.sqrt(jnp.tile(data.weights, 2))[:, None]
-    rows = coordinates.gather(pull_back(model, jnp.tile(uv, (2, 1)), covectors))
-    rows = rows * coordinates.slopes(t)
-    return rows.T @ rows, sigma
-
-
-def _whitening(
-    coordinates: Coordinates, data: Data, t: Array, uv: Array
-) -> Callable[[Array], Array]:
-    """Standard errors in every direction as a matrix, for any noise: W Wᵀ = information⁻¹."""
-    matrix, at_sigma = information(coordinates, data, t, uv)
-    # The identity is the information of the typical ranges: it bounds the step where data say nothing.
-    root = jnp.linalg.cholesky(matrix + jnp.eye(len(t)))
-    whitening = jax.scipy.linalg.solve_triangular(root, jnp.eye(len(t)), lower=True).T
-    return lambda sigma: whitening * (sigma / at_sigma)
-
-
 def _freeze(
-    coordinates: Coordinates,
-    data: Data,
-    t: Array,
-    uv: Array,
-    whiten: Callable[[Array], Array],
-    gain: Array,
+    coordinates: Coordinates, data: Data, t: Array, uv: Array, whitening: Array, gain: Array
 ) -> _Frozen:
     model = coordinates.model(t)
-    here = frame(model, uv)
-    offset = data.points - here.position
-    sigma = estimate_sigma(data, jnp.sum(here.normal * offset, axis=-1), len(t))
-    beyond = jnp.sum(here.conormals * offset[:, None, :], axis=-1) - here.left
-    beyond = jnp.where(data.weights > 0, jnp.max(beyond, axis=-1), -jnp.inf)
+    nodes = jnp.asarray(edge_nodes(model.domain), uv.dtype)
+    both = frame(model, jnp.concatenate([uv, nodes]))
+    here, edge = (Frame(*(x[part] for x in both)) for part in (np.s_[: len(uv)], np.s_[len(uv) :]))
+    sigma = estimate_sigma(data, here.distance(data.points), len(t))
+    beyond = jnp.max(here.beyond(data.points), axis=-1)
+    beyond = jnp.where(data.weights > 0, beyond, -jnp.inf)
     _, near = jax.lax.top_k(beyond, max(len(uv) // 4, min(len(uv), _FEW)))
-    whitening = whiten(sigma)
-    pull = coordinates.gather(edge_pull(model, uv, data.weights)) * coordinates.slopes(t)
-    return _Frozen(coordinates, data, uv, here, sigma, near, whitening.T @ pull, gain, t, whitening)
+    pull = edge_pull(model.domain, edge, uv, data.weights)
+    pull = jnp.sum(coordinates.gather(pull_back(model, nodes[:EDGE_NODES], pull)), axis=0)
+    whitening = sigma * whitening
+    return _Frozen(
+        coordinates,
+        data,
+        uv,
+        here,
+        sigma,
+        near,
+        whitening.T @ (coordinates.slopes(t) * pull),
+        gain,
+        t,
+        whitening,
+    )
 
 
 @jax.custom_jvp

@@ -8,7 +8,6 @@ import math
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import norm
 
 from petalfit.report.colour import NEGATIVE, POSITIVE, ZERO, css
 from petalfit.report.raster import png
@@ -139,7 +138,7 @@ def histogram_chart(
     parts, edges = np.histogram(distances, bins, (-reach, reach), weights=weights)
     density = parts / weights.sum() / np.diff(edges)
     curve_x = np.unique(np.concatenate([np.linspace(-reach, reach, 161), np.linspace(-4, 4, 81)]))
-    curve = norm.pdf(curve_x)
+    curve = np.exp(-0.5 * curve_x**2) / math.sqrt(2 * math.pi)
     tallest = 1.06 * max(float(density.max()), float(curve.max()))
 
     def place(x: np.ndarray, y: np.ndarray) -> np.ndarray:

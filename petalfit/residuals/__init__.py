@@ -3,10 +3,13 @@
 from petalfit.residuals.contact import Frame as Frame
 from petalfit.residuals.contact import frame as frame
 from petalfit.residuals.contact import pull_back as pull_back
-from petalfit.residuals.curvature_bias import distance_score as distance_score
-from petalfit.residuals.curvature_bias import perturbations as perturbations
+from petalfit.residuals.curvature_bias import perturbation as perturbation
+from petalfit.residuals.edge import EDGE_NODES as EDGE_NODES
+from petalfit.residuals.edge import edge_nodes as edge_nodes
 from petalfit.residuals.edge import edge_pull as edge_pull
 from petalfit.residuals.edge import edge_residual as edge_residual
 from petalfit.residuals.edge import edge_score as edge_score
+from petalfit.residuals.foot_point import half_squared_distance as half_squared_distance
 from petalfit.residuals.foot_point import nearest_nodes as nearest_nodes
 from petalfit.residuals.foot_point import refine_foot_points as refine_foot_points
+from petalfit.residuals.foot_point import slide_foot_points as slide_foot_points

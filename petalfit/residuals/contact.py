@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from petalfit.surfaces import AbstractSurface
+from petalfit.surfaces import AbstractSurface, position_and_tangents
 
 
 class Frame(NamedTuple):
@@ -20,32 +20,44 @@ class Frame(NamedTuple):
         conormals: Unit vectors in the tangent plane, perpendicular to the nearer u edge and the nearer
             v edge, pointing out of the surface, shape (n, 2, 3).
         left: Distance that is left to these edges along the surface, to first order, shape (n, 2).
+        speed: |∂S/∂u| and |∂S/∂v|, shape (n, 2).
+        area_element: |∂S/∂u × ∂S/∂v|, shape (n,).
     """
 
     position: Float[Array, "n 3"]
     normal: Float[Array, "n 3"]
     conormals: Float[Array, "n 2 3"]
     left: Float[Array, "n 2"]
+    speed: Float[Array, "n 2"]
+    area_element: Float[Array, " n"]
+
+    def distance(self, points: Float[Array, "n 3"]) -> Float[Array, " n"]:
+        """Signed distance of every point from the tangent plane, positive on the normal's side."""
+        return _dot(self.normal, points - self.position)
+
+    def beyond(self, points: Float[Array, "n 3"]) -> Float[Array, "n 2"]:
+        """How far every point lies beyond the nearer u edge and v edge, negative inside."""
+        return _dot(self.conormals, (points - self.position)[:, None]) - self.left
 
 
 def frame(surface: AbstractSurface, uv: Float[Array, "n 2"]) -> Frame:
     """The frames of a surface at foot points `uv` (see `refine_foot_points`)."""
-    u, v = uv[:, 0], uv[:, 1]
-    tangent_u, tangent_v = surface.tangents(u, v)
-    cross = jnp.cross(tangent_u, tangent_v)
-    normal = surface.orientation * cross * _ratio(1.0, jnp.sqrt(_dot(cross, cross)))[:, None]
-    conormals, left = [], []
-    for side, along, x, (low, high) in (
-        (tangent_u, tangent_v, u, surface.domain.u),
-        (tangent_v, tangent_u, v, surface.domain.v),
-    ):
-        across = side - along * _ratio(_dot(side, along), _dot(along, along))[:, None]
-        height = jnp.sqrt(_dot(across, across))
-        outward = jnp.where(x > 0.5 * (low + high), 1.0, -1.0)
-        conormals.append(across * (outward * _ratio(1.0, height))[:, None])
-        left.append(jnp.minimum(high - x, x - low) * height)
+    position, tangents = position_and_tangents(surface, uv[:, 0], uv[:, 1])
+    side = jnp.moveaxis(tangents, 0, 1)
+    along = side[:, ::-1]
+    cross = surface.orientation * jnp.cross(side[:, 0], side[:, 1])
+    element = jnp.sqrt(_dot(cross, cross))
+    across = side - along * _ratio(_dot(side, along), _dot(along, along))[..., None]
+    height = jnp.sqrt(_dot(across, across))
+    low, high = (jnp.asarray(ends, uv.dtype) for ends in zip(*surface.domain, strict=True))
+    outward = jnp.where(uv > 0.5 * (low + high), 1.0, -1.0)
     return Frame(
-        surface.position(u, v), normal, jnp.stack(conormals, axis=1), jnp.stack(left, axis=1)
+        position,
+        cross * _ratio(1.0, element)[:, None],
+        across * (outward * _ratio(1.0, height))[..., None],
+        jnp.minimum(high - uv, uv - low) * height,
+        jnp.sqrt(_dot(side, side)),
+        element,
     )
 
 

@@ -9,47 +9,14 @@ same perturbation the part linear in the noise cancels, which leaves the bias al
 
 from __future__ import annotations
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
-
-from petalfit.residuals.contact import frame, pull_back
-from petalfit.surfaces import AbstractSurface
+from jaxtyping import Float
 
 # Waves per unit of the domain of the perturbation's three components. √2 cos has mean 0, variance 1;
 # being a function of (u, v) and not of the order of the points, it repeats whatever the order.
 _WAVES = np.array([[173.0, 113.0], [211.0, -89.0], [149.0, 157.0]])
 
 
-def perturbations(
-    surface: AbstractSurface, uv: Float[Array, "n 2"], sigma: Float[Array, ""]
-) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
-    """Points of the surface at `uv`, moved by a perturbation of variance σ² in every coordinate.
-
-    Returns:
-        The points moved forth and the points moved back by the same perturbation.
-    """
-    clean = surface.position(uv[:, 0], uv[:, 1])
-    noise = sigma * np.sqrt(2.0) * jnp.cos(2 * np.pi * uv @ _WAVES.T)
-    return clean + noise, clean - noise
-
-
-def distance_score(
-    surface: AbstractSurface,
-    points: Float[Array, "n 3"],
-    uv: Float[Array, "n 2"],
-    weights: Float[Array, " n"],
-) -> AbstractSurface:
-    """Σ w d ∂d/∂θ of the normal distances d at foot points `uv`.
-
-    Its mean over both `perturbations`, divided by σ², is the expected score.
-
-    Returns:
-        A pytree like `surface`.
-    """
-    here = frame(surface, uv)
-    distance = jnp.sum(here.normal * (points - here.position), axis=-1)
-    # d = n·(x − S), so ∂d/∂θ = −n·∂S/∂θ
-    pulled = pull_back(surface, uv, here.normal * (-weights * distance)[:, None])
-    return jax.tree.map(lambda leaf: jnp.sum(leaf, axis=0), pulled)
+def perturbation(uv: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
+    """Displacements of unit variance in every coordinate, one for each place of a surface."""
+    return np.sqrt(2.0) * np.cos(2 * np.pi * uv @ _WAVES.T)

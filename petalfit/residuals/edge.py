@@ -9,14 +9,13 @@ of ρ times the conormal speed. The two balance at the truth, with no free weigh
 
 from __future__ import annotations
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import log_ndtr
 from jaxtyping import Array, Float
 
-from petalfit.residuals.contact import frame, pull_back
-from petalfit.surfaces import AbstractSurface
+from petalfit.residuals.contact import Frame
+from petalfit.surfaces import Domain
 
 _REACH = 6.0  # beyond this many σ inside the edge, the edge is out of sight
 
@@ -38,65 +37,63 @@ def edge_score(beyond: Float[Array, "..."]) -> Float[Array, "..."]:
 
 _CELLS = 8  # per side, in which the density of points along the edge is counted
 _NODES = 64  # of the midpoint rule along every side
+_GRID = 32  # per side, of the midpoint rule for the cells' areas
+EDGE_NODES = 4 * _NODES
+
+
+def edge_nodes(domain: Domain) -> Float[np.ndarray, "m 2"]:
+    """Where `edge_pull` wants the frames: `EDGE_NODES` places along the edge, then a grid."""
+    low, high = np.array(domain).T
+    along, zero, grid = _midpoints(_NODES), np.zeros(_NODES), _midpoints(_GRID)
+    sides = [(zero, along), (zero + 1, along), (along, zero), (along, zero + 1)]
+    cells = np.stack(np.meshgrid(grid, grid, indexing="ij"), axis=-1).reshape(-1, 2)
+    places = np.concatenate([*(np.stack(side, axis=-1) for side in sides), cells])
+    return low + (high - low) * places
 
 
 def edge_pull(
-    surface: AbstractSurface,
-    uv: Float[Array, "n 2"],
-    weights: Float[Array, " n"],
-) -> AbstractSurface:
-    """Derivative of Σ log Area by the parameters, for motions of the edge: ∮ ρ (c · ∂S/∂θ) dl.
+    domain: Domain, here: Frame, uv: Float[Array, "n 2"], weights: Float[Array, " n"]
+) -> Float[Array, "m 3"]:
+    """Covectors w with Σ w·∂S/∂θ = ∮ ρ (c · ∂S/∂θ) dl, the derivative of Σ log Area by a moving edge.
 
     The density ρ is counted in the cells along the edge, so that the edge is not pulled into a hole or
     a missing half, nor by a gradient of the density.
 
     Args:
-        surface: The surface, at the current parameters.
+        domain: Of the surface.
+        here: The surface's frames at `edge_nodes`.
         uv: Foot points of the cloud.
         weights: Weight of every point; zero for padding.
 
     Returns:
-        A pytree like `surface`.
+        A covector for each of the first `EDGE_NODES` nodes.
     """
-    density = _density(surface, uv, weights)
-    (u_low, u_high), (v_low, v_high) = surface.domain
-    fraction = (jnp.arange(_NODES) + 0.5) / _NODES
-    u, v = u_low + (u_high - u_low) * fraction, v_low + (v_high - v_low) * fraction
-    zero = jnp.zeros(_NODES)
-    nodes = jnp.stack(
-        [
-            jnp.concatenate([zero + u_low, zero + u_high, u, u]),
-            jnp.concatenate([v, v, zero + v_low, zero + v_high]),
-        ],
-        axis=-1,
-    )
-    here = frame(surface, nodes)
-    tangent_u, tangent_v = surface.tangents(nodes[:, 0], nodes[:, 1])
-    half = 2 * _NODES  # the first half of the nodes lies on u edges, the second on v edges
-    conormal = jnp.concatenate([here.conormals[:half, 0], here.conormals[half:, 1]])
-    speed = jnp.concatenate(
-        [
-            (v_high - v_low) * jnp.linalg.norm(tangent_v[:half], axis=-1),
-            (u_high - u_low) * jnp.linalg.norm(tangent_u[half:], axis=-1),
-        ]
-    )
+    density = _density(domain, here.area_element[EDGE_NODES:], uv, weights)
     along = jnp.concatenate([density[0, :], density[-1, :], density[:, 0], density[:, -1]])
-    pull = jnp.repeat(along, _NODES // _CELLS) * speed / _NODES
-    pulled = pull_back(surface, nodes, conormal * pull[:, None])
-    return jax.tree.map(lambda leaf: jnp.sum(leaf, axis=0), pulled)
+    # The first half of the nodes lies on u edges, the second on v edges.
+    half = EDGE_NODES // 2
+    conormals = jnp.concatenate([here.conormals[:half, 0], here.conormals[half:EDGE_NODES, 1]])
+    speed = jnp.concatenate([here.speed[:half, 1], here.speed[half:EDGE_NODES, 0]])
+    (u_low, u_high), (v_low, v_high) = domain
+    length = np.repeat([v_high - v_low, u_high - u_low], half)
+    pull = jnp.repeat(along, _NODES // _CELLS) * length * speed / _NODES
+    return conormals * pull[:, None]
 
 
-def _density(surface: AbstractSurface, uv: Array, weights: Array) -> Array:
+def _density(domain: Domain, element: Array, uv: Array, weights: Array) -> Array:
     """Points per area in _CELLS × _CELLS cells, smooth in the points: each is shared by hat functions."""
-    (u_low, u_high), (v_low, v_high) = surface.domain
+    low, high = np.array(domain).T
 
-    def hats(x: Array, low: float, high: float) -> Array:
-        place = jnp.clip(_CELLS * (x - low) / (high - low) - 0.5, 0.0, _CELLS - 1.0)
-        return jnp.maximum(0.0, 1.0 - jnp.abs(place[:, None] - jnp.arange(_CELLS)))
+    def hats(fraction: Array | np.ndarray) -> Array:
+        place = jnp.clip(_CELLS * fraction - 0.5, 0.0, _CELLS - 1.0)
+        return jnp.maximum(0.0, 1.0 - jnp.abs(place[..., None] - np.arange(_CELLS)))
 
-    counts = hats(uv[:, 0], u_low, u_high).T @ (weights[:, None] * hats(uv[:, 1], v_low, v_high))
-    grid = (jnp.arange(4 * _CELLS) + 0.5) / (4 * _CELLS)
-    u, v = u_low + (u_high - u_low) * grid, v_low + (v_high - v_low) * grid
-    element = surface.area_element(u[:, None], v[None, :])
-    area = hats(u, u_low, u_high).T @ element @ hats(v, v_low, v_high)
-    return counts / (area * (u_high - u_low) * (v_high - v_low) / len(grid) ** 2)
+    shares = hats((uv - low) / (high - low))
+    counts = shares[:, 0].T @ (weights[:, None] * shares[:, 1])
+    weight = hats(_midpoints(_GRID))
+    area = weight.T @ element.reshape(_GRID, _GRID) @ weight
+    return counts / (area * np.prod(high - low) / _GRID**2)
+
+
+def _midpoints(n: int) -> np.ndarray:
+    return (np.arange(n) + 0.5) / n

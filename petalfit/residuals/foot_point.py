@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from petalfit.surfaces import AbstractSurface
 
@@ -25,47 +25,67 @@ def nearest_nodes(surface: AbstractSurface, points: Float[Array, "n 3"]) -> Floa
     return jnp.stack([jnp.asarray(u)[index], jnp.asarray(v)[index]], axis=-1)
 
 
+def slide_foot_points(
+    surface: AbstractSurface,
+    points: Float[Array, "n 3"],
+    uv: Float[Array, "n 2"],
+    iterations: int | Int[Array, ""],
+) -> Float[Array, "n 2"]:
+    """Foot points that follow their own local minimum; see `refine_foot_points`."""
+    return _newton(surface, points, uv, iterations)[0]
+
+
 def refine_foot_points(
     surface: AbstractSurface,
     points: Float[Array, "n 3"],
     uv: Float[Array, "n 2"],
     iterations: int | Int[Array, ""],
-    elsewhere: bool | Bool[Array, ""] = True,
 ) -> Float[Array, "n 2"]:
     """Minimisers of |S(u, v) − x| over the surface's domain, from the starts `uv`.
 
     Newton with a Levenberg damping per point, its quadratic model minimised over the domain. Needs
     the second derivatives: where the surface bends within the noise (ribs, the midrib's crest),
-    Gauss-Newton does not converge. Two kinds of points get more: those that are still moving (at
-    folds, or between two ribs), and the farthest, which may be at a local minimum and look for a
-    better one from a coarse start.
+    Gauss-Newton does not converge. Two kinds of points may be at a local minimum and look for a better
+    one: those whose place is weakly determined (between two sheets that meet at a fold, or two ribs),
+    nearby; and the farthest, everywhere.
 
     Args:
         surface: Any surface.
         points: Points x, in the surface's frame.
         uv: Start of every point, inside the domain.
         iterations: Newton steps for all; two from a good start, six from a coarse one.
-        elsewhere: Whether the farthest points look for a better place; without it, a foot point moves
-            only as its local minimum does.
 
     Returns:
         Foot points, never farther from `points` than `uv` was.
     """
-    uv, moving, squared = _newton(surface, points, uv, iterations)
+    uv, weak, squared = _newton(surface, points, uv, iterations)
     n = len(uv)
-    _, late = jax.lax.top_k(moving, min(n, max(32, n // 32)))
+    _, doubtful = jax.lax.top_k(weak, min(n, max(32, n // 32)))
     _, far = jax.lax.top_k(squared, min(n, max(32, n // 64)))
-    others = _places_to_look(surface, points[far])
-    starts = jnp.concatenate([uv[late], *others])
-    rows = jnp.concatenate([late, *[far] * len(others)])
-    refined, _, reached = _newton(surface, points[rows], starts, 8)
-    uv, squared = uv.at[late].set(refined[: len(late)]), squared.at[late].set(reached[: len(late)])
-    rivals = reached[len(late) :].reshape(len(others), len(far))
-    closest = jnp.argmin(rivals, axis=0)
-    better = jnp.take_along_axis(rivals, closest[None], axis=0)[0] < squared[far]
-    better &= elsewhere
-    found = refined[len(late) :].reshape(*rivals.shape, 2)[closest, jnp.arange(len(far))]
-    return uv.at[far].set(jnp.where(better[:, None], found, uv[far]))
+    which = jnp.concatenate([doubtful, far])
+    places = [_places_nearby(surface, uv[doubtful]), _places_to_look(surface, points[far])]
+    starts = jnp.concatenate([uv[which][None], jnp.concatenate(places, axis=1)])
+    rows = jnp.tile(points[which], (len(starts), 1))
+    found, _, reached = _newton(surface, rows, starts.reshape(-1, 2), 8)
+    reached = reached.reshape(starts.shape[:2])
+    closest, column = jnp.argmin(reached, axis=0), jnp.arange(len(which))
+    better = reached[closest, column] < squared[which]
+    found = found.reshape(starts.shape)[closest, column]
+    return uv.at[which].set(jnp.where(better[:, None], found, uv[which]))
+
+
+def _places_nearby(surface: AbstractSurface, uv: Array) -> Array:
+    """Starts on all sides of given places, shape (4, n, 2)."""
+    low, high = (jnp.asarray(side, uv.dtype) for side in zip(*surface.domain, strict=True))
+    sides = np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
+    return jnp.clip(uv + 0.04 * (high - low) * sides[:, None], low, high)
+
+
+def half_squared_distance(
+    surface: AbstractSurface, uv: Float[Array, "2"], x: Float[Array, "3"]
+) -> Float[Array, ""]:
+    """½ |S(u, v) − x|², for one point."""
+    return 0.5 * jnp.sum((surface.position(uv[0], uv[1]) - x) ** 2)
 
 
 def _places_to_look(surface: AbstractSurface, points: Array) -> Array:
@@ -95,19 +115,18 @@ _NODES = 17
 def _newton(
     surface: AbstractSurface, points: Array, uv: Array, iterations: int | Array
 ) -> tuple[Array, Array, Array]:
-    """Foot points, the size of the step that each would take next, and half the squared distance."""
+    """Foot points, how weakly each is determined, and half the squared distance."""
     low, high = (jnp.asarray(side, points.dtype) for side in zip(*surface.domain, strict=True))
-
-    def half_squared_distance(uv: Array, x: Array) -> Array:
-        return 0.5 * jnp.sum((surface.position(uv[0], uv[1]) - x) ** 2)
 
     @jax.vmap
     def expand(uv: Array, x: Array) -> tuple[Array, Array, Array]:
-        value, gradient = jax.value_and_grad(half_squared_distance)(uv, x)
-        return value, gradient, jax.hessian(half_squared_distance)(uv, x)
+        slope = jax.value_and_grad(lambda uv: half_squared_distance(surface, uv, x))
+        along = jax.vmap(lambda direction: jax.jvp(slope, (uv,), (direction,)), out_axes=(None, 0))
+        (value, gradient), (_, hessian) = along(jnp.eye(2, dtype=uv.dtype))
+        return value, gradient, hessian
 
     def step(_: Array, state: tuple) -> tuple:
-        uv, move, value, gradient, hessian, damping = state
+        uv, move, _, value, gradient, hessian, damping = state
         trial = jnp.clip(uv + move, low, high)
         expansion = expand(trial, points)
         better = expansion[0] <= value
@@ -116,21 +135,24 @@ def _newton(
             for new, old in zip((trial, *expansion), (uv, value, gradient, hessian), strict=True)
         )
         damping = jnp.where(better, 0.1 * damping, 8.0 * damping + 0.2)
-        move = _newton_step(uv, gradient, hessian, damping, low, high)
-        return uv, move, value, gradient, hessian, damping
+        move, weak = _newton_step(uv, gradient, hessian, damping, low, high)
+        return uv, move, weak, value, gradient, hessian, damping
 
     # The first pass only expands at the start.
     n = len(points)
     flat = (jnp.full(n, jnp.inf), jnp.zeros((n, 2)), jnp.zeros((n, 2, 2)))
-    state = (uv, jnp.zeros((n, 2)), *flat, jnp.zeros(n))
-    uv, move, value, *_ = jax.lax.fori_loop(0, iterations + 1, step, state)
-    return uv, jnp.max(jnp.abs(move), axis=-1), value
+    state = (uv, jnp.zeros((n, 2)), jnp.zeros(n), *flat, jnp.zeros(n))
+    uv, _, weak, value, *_ = jax.lax.fori_loop(0, iterations + 1, step, state)
+    return uv, weak, value
 
 
 def _newton_step(
     uv: Array, gradient: Array, hessian: Array, damping: Array, low: Array, high: Array
-) -> Array:
-    """The step to the minimum of a damped, convex quadratic model over the domain, per point."""
+) -> tuple[Array, Array]:
+    """The step to the minimum of a damped, convex quadratic model over the domain, per point.
+
+    And how weakly the place is determined: minus the smallest eigenvalue of the scaled Hessian.
+    """
     # Scaled to a unit diagonal, since u and v may differ by orders of magnitude: [[a, t], [t, d]]
     # with a, d = ±1.
     root = jnp.sqrt(jnp.abs(jnp.diagonal(hessian, axis1=1, axis2=2)) + 1e-300)
@@ -150,4 +172,4 @@ def _newton_step(
     u = jnp.where(leaves_v & ~leaves_u, jnp.clip(-(g_u + t * v) / a, low_u, high_u), u)
     v = jnp.where(leaves_u, jnp.clip(-(g_v + t * u) / d, low_v, high_v), v)
     u = jnp.where(leaves_u & leaves_v, jnp.clip(-(g_u + t * v) / a, low_u, high_u), u)
-    return jnp.stack([u, v], axis=-1) / root
+    return jnp.stack([u, v], axis=-1) / root, -smallest

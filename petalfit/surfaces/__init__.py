@@ -7,3 +7,4 @@ from petalfit.surfaces.shapes import Rectangle as Rectangle
 from petalfit.surfaces.surface import AbstractSurface as AbstractSurface
 from petalfit.surfaces.surface import Domain as Domain
 from petalfit.surfaces.surface import Scalar as Scalar
+from petalfit.surfaces.surface import position_and_tangents as position_and_tangents

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import jax
 import numpy as np
 
 from petalfit.observations import PointCloud
+from petalfit.surfaces.programs import area_element, position_and_normal
 from petalfit.surfaces.surface import AbstractSurface
 
 # Cells of the proposal density. Fine enough for the peony's midrib (1/40 of the width) and ribs.
@@ -38,12 +37,8 @@ def sample(surface: AbstractSurface, n: int, seed: int = 0, noise: float = 0.0) 
     rng = np.random.default_rng(seed)
     with jax.enable_x64(True):
         u, v = _area_uniform(surface, n, rng)
-        points, normals = (np.asarray(x) for x in _POSITION_AND_NORMAL(surface, u, v))
+        points, normals = (np.asarray(x) for x in position_and_normal(surface, u, v))
     return PointCloud(points + noise * rng.standard_normal(points.shape), normals=normals)
-
-
-_POSITION_AND_NORMAL = jax.jit(lambda surface, u, v: (surface(u, v), surface.normal(u, v)))
-_AREA_ELEMENT: Callable[..., jax.Array] = jax.jit(lambda surface, u, v: surface.area_element(u, v))
 
 
 def _area_uniform(
@@ -53,7 +48,7 @@ def _area_uniform(
     u, v = (
         np.linspace(*side, cells + 1) for side, cells in zip(surface.domain, _CELLS, strict=True)
     )
-    corners = np.asarray(_AREA_ELEMENT(surface, u[:, None], v[None, :]))
+    corners = np.asarray(area_element(surface, u[:, None], v[None, :]))
     envelope = _MARGIN * np.maximum.reduce(
         [corners[:-1, :-1], corners[1:, :-1], corners[:-1, 1:], corners[1:, 1:]]
     )
@@ -67,7 +62,7 @@ def _area_uniform(
         cell = np.searchsorted(cumulative, cumulative[-1] * rng.random(batch), side="right")
         cell = np.stack(np.unravel_index(np.minimum(cell, envelope.size - 1), _CELLS), axis=-1)
         uv = low + (cell + rng.random((batch, 2))) * (high - low) / _CELLS
-        density = np.asarray(_AREA_ELEMENT(surface, uv[:, 0], uv[:, 1]))
+        density = np.asarray(area_element(surface, uv[:, 0], uv[:, 1]))
         keep = rng.random(batch) * envelope[tuple(cell.T)] < density
         accepted = np.concatenate([accepted, uv[keep]])
     return accepted[:n, 0], accepted[:n, 1]

@@ -70,7 +70,8 @@ class AbstractSurface(eqx.Module):
         self, u: Real[ArrayLike, "..."], v: Real[ArrayLike, "..."]
     ) -> tuple[Float[Array, "... 3"], Float[Array, "... 3"]]:
         """The partial derivatives ∂S/∂u and ∂S/∂v, each of shape (..., 3)."""
-        return _tangents(self, *_floats(u, v))
+        tangent_u, tangent_v = position_and_tangents(self, *_floats(u, v))[1]
+        return tangent_u, tangent_v
 
     def normal(self, u: Real[ArrayLike, "..."], v: Real[ArrayLike, "..."]) -> Float[Array, "... 3"]:
         """Unit normals, shape (..., 3), by automatic differentiation of the map.
@@ -87,7 +88,8 @@ class AbstractSurface(eqx.Module):
 
     def _away_from_poles(self, u: Array, v: Array, cross: Array) -> Array:
         """N = ∂u × ∂v, replaced by a vector of its limit's direction where it vanishes."""
-        scale = sum(jnp.sum(t**2, -1, keepdims=True) for t in _tangents(self, u, v))
+        _, tangents = position_and_tangents(self, u, v)
+        scale = jnp.sum(tangents**2, (0, -1))[..., None]
         squared = jnp.sum(cross**2, -1, keepdims=True)
         degenerate = squared <= (32 * jnp.finfo(cross.dtype).eps * scale) ** 2
         # At a pole N vanishes like h·N', with h the distance into the domain. N/h = N' + h·N''/2:
@@ -136,16 +138,19 @@ def _floats(u: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
     return u, v
 
 
-def _tangents(surface: AbstractSurface, u: Array, v: Array) -> tuple[Array, Array]:
-    one, zero = jnp.ones_like(u), jnp.zeros_like(u)
-    _, tangent_u = jax.jvp(surface.position, (u, v), (one, zero))
-    _, tangent_v = jax.jvp(surface.position, (u, v), (zero, one))
-    return tangent_u, tangent_v
+def position_and_tangents(
+    surface: AbstractSurface, u: Float[Array, "*shape"], v: Float[Array, "*shape"]
+) -> tuple[Float[Array, "*shape 3"], Float[Array, "2 *shape 3"]]:
+    """S, and ∂S/∂u and ∂S/∂v stacked in front, by one pass through the map."""
+
+    def along(du: ArrayLike, dv: ArrayLike) -> tuple[Array, Array]:
+        return jax.jvp(surface.position, (u, v), (jnp.full_like(u, du), jnp.full_like(v, dv)))
+
+    return jax.vmap(along, out_axes=(None, 0))(*np.eye(2))
 
 
 def _cross(surface: AbstractSurface, u: Array, v: Array) -> Array:
     # Written out: under vmap and grad, `jnp.cross` costs twice as much.
-    (a_x, a_y, a_z), (b_x, b_y, b_z) = (
-        jnp.unstack(tangent, axis=-1) for tangent in _tangents(surface, u, v)
-    )
+    _, tangents = position_and_tangents(surface, u, v)
+    (a_x, a_y, a_z), (b_x, b_y, b_z) = (jnp.unstack(tangent, axis=-1) for tangent in tangents)
     return jnp.stack([a_y * b_z - a_z * b_y, a_z * b_x - a_x * b_z, a_x * b_y - a_y * b_x], axis=-1)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import jax
 import numpy as np
 
+from petalfit.surfaces.programs import position_and_normal
 from petalfit.surfaces.surface import AbstractSurface
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ def tessellate(surface: AbstractSurface, resolution: tuple[int, int] = (65, 65))
     u, v = (np.linspace(*side, n) for side, n in zip(surface.domain, resolution, strict=True))
     u, v = (x.ravel() for x in np.meshgrid(u, v, indexing="ij"))
     with jax.enable_x64(True):
-        vertices, normals = (np.asarray(x) for x in _POSITION_AND_NORMAL(surface, u, v))
+        vertices, normals = (np.asarray(x) for x in position_and_normal(surface, u, v))
     (u_low, u_high), (v_low, v_high) = surface.domain
     uv = np.stack([(u - u_low) / (u_high - u_low), (v - v_low) / (v_high - v_low)], axis=-1)
     corner = (np.arange(n_u - 1)[:, None] * n_v + np.arange(n_v - 1)).ravel()
@@ -54,6 +55,3 @@ def tessellate(surface: AbstractSurface, resolution: tuple[int, int] = (65, 65))
         visual=TextureVisuals(uv=uv),
         process=False,
     )
-
-
-_POSITION_AND_NORMAL = jax.jit(lambda surface, u, v: (surface(u, v), surface.normal(u, v)))

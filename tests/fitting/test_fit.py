@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import petalfit as pf
+from petalfit.compilation import Program
 from petalfit.fitting import cloud as cloud_module
 from petalfit.fitting import programs
 from petalfit.fitting.cloud import bucket
@@ -82,7 +83,7 @@ def test_free_parameters_and_a_start(cloud, result):
     started = pf.fit_petal(points, init=near)
     assert started.starts[0].label == "given"
     for name in NAMES:
-        assert abs(started.values[name] - result.values[name]) < result.stderr[name]
+        assert abs(started.values[name] - result.values[name]) < 0.25 * result.stderr[name]
 
 
 def test_a_given_noise_is_used(cloud):
@@ -116,15 +117,15 @@ def test_a_cloud_in_another_frame_is_not_accepted_in_silence(cloud):
 def test_a_new_size_in_the_same_bucket_does_not_compile(cloud, result, monkeypatch):
     points = cloud[1]
     compiled = {
-        name: program._cache_size()
+        name: program.cache_size()
         for name, program in vars(programs).items()
-        if hasattr(program, "_cache_size")
+        if isinstance(program, Program)
     }
-    assert compiled["solve_compiled"] >= 1
+    assert compiled["solve"] >= 1
     assert bucket(1480) == bucket(len(points))
     pf.fit_petal(points[:1480])
     for name, count in compiled.items():
-        assert getattr(programs, name)._cache_size() == count, name
+        assert getattr(programs, name).cache_size() == count, name
 
 
 def test_buckets_waste_at_most_a_third():
@@ -138,8 +139,7 @@ def test_coordinates_are_a_bijection_inside_the_bounds():
     with jax.enable_x64(True):
         coordinates = Coordinates.of(pf.PeonyPetal(), tuple(NAMES))
         t = jnp.asarray(np.random.default_rng(0).standard_normal(len(NAMES)) * 5)
-        values = coordinates.values(t)
-        np.testing.assert_allclose(coordinates.inverse(values), t, rtol=1e-9)
+        np.testing.assert_allclose(coordinates.inverse(coordinates.model(t)), t, rtol=1e-9)
         slopes = np.diag(jax.jacfwd(coordinates.values)(t))
         np.testing.assert_allclose(coordinates.slopes(t), slopes, rtol=1e-12)
         far = coordinates.values(1e6 * t)
@@ -187,7 +187,8 @@ def test_impossible_options_are_refused(options):
 
 def test_a_failed_fit_raises_or_says_so(monkeypatch, cloud):
     monkeypatch.setattr(cloud_module, "_ROUNDS", 1)
+    far = pf.PeonyPetal(a_x=16.0, b_y=20.0, dy=1.0)
     with pytest.raises(pf.FitError, match="not converged") as error:
-        pf.fit_petal(cloud[1])
+        pf.fit_petal(cloud[1], init=far)
     assert error.value.result.status == "round_limit"
-    assert not pf.fit_petal(cloud[1], throw=False).converged
+    assert not pf.fit_petal(cloud[1], init=far, throw=False).converged

@@ -10,7 +10,7 @@ import pytest
 import petalfit as pf
 from petalfit.fitting.coordinates import Coordinates
 from petalfit.fitting.implicit import solve_differentiably
-from petalfit.fitting.solve import Data
+from petalfit.fitting.survey import Data
 from petalfit.residuals import nearest_nodes, refine_foot_points
 
 
@@ -47,7 +47,7 @@ def check_gradient(model, free, n, seed):
     points = model.sample(n, seed=seed, noise=0.03).points
     with jax.enable_x64(True):
         coordinates = Coordinates.of(model, free)
-        t = coordinates.inverse(coordinates.gather(coordinates.template))
+        t = jnp.asarray(coordinates.inverse(coordinates.template))
         x = jnp.asarray(points)
         uv = refine_foot_points(coordinates.template, x, nearest_nodes(coordinates.template, x), 6)
         combination = jnp.linspace(1.0, 2.0, len(free))

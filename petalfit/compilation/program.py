@@ -1,0 +1,33 @@
+"""A pure function and its compiled programs, one for every structure and shape of its arguments."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Generic, TypeVar
+
+import jax
+
+from petalfit.compilation.store import OPTIONS, current_store
+
+R = TypeVar("R")
+
+
+class Program(Generic[R]):
+    """A jitted function. Within `use_store` its programs come from a folder and go there.
+
+    Call it outside other jitted functions, with arrays, NumPy's or jax's.
+    """
+
+    def __init__(self, function: Callable[..., R]) -> None:
+        self._function = function
+        self._jitted = jax.jit(function, compiler_options=OPTIONS)
+
+    def __call__(self, *args: Any) -> R:
+        store = current_store()
+        if store is None:
+            return self._jitted(*args)
+        return store.executable(self._function, args)(*jax.tree.leaves(args))
+
+    def cache_size(self) -> int:
+        """How many programs this process holds for argument shapes met so far."""
+        return self._jitted._cache_size()  # pyright: ignore[reportAttributeAccessIssue]

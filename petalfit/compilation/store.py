@@ -1,0 +1,125 @@
+"""Executables in a folder: a second process neither traces nor compiles what the first one did."""
+
+from __future__ import annotations
+
+import contextvars
+import functools
+import hashlib
+import pickle
+import platform
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from importlib.metadata import version
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.experimental import serialize_executable
+
+from petalfit.observations.atomic import atomic_path
+
+# A fifth less to wait for, and programs just as fast.
+OPTIONS = {"xla_llvm_disable_expensive_passes": True}
+
+_DIGEST = hashlib.sha256().digest_size
+
+
+class ExecutableStore:
+    """Compiled programs in memory and in a folder.
+
+    A file is named by all that a program depends on: petalfit's source, the versions of what traces
+    and compiles it, and the structure, shapes and types of the arguments. Files of programs that
+    nobody asks for any more are left to whoever owns the folder, and so is the choice of a folder for
+    each kind of processor. Reading a file can run anything: the folder must be the user's alone. A
+    folder that cannot be used costs time and nothing else.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._loaded: dict[str, Callable] = {}
+
+    def executable(self, function: Callable, args: tuple) -> Callable:
+        """The compiled form of a function for arguments like `args`, called with their leaves."""
+        key = _key(function, args)
+        if key not in self._loaded:
+            self._loaded[key] = self._load(key) or self._compile(key, function, args)
+        return self._loaded[key]
+
+    def _load(self, key: str) -> Callable | None:
+        with suppress(OSError):
+            content = (self.folder / key).read_bytes()
+            if hashlib.sha256(content[_DIGEST:]).digest() == content[:_DIGEST]:
+                _initialise()
+                return serialize_executable.deserialize_and_load(*pickle.loads(content[_DIGEST:]))
+        return None
+
+    def _compile(self, key: str, function: Callable, args: tuple) -> Callable:
+        leaves, structure = jax.tree.flatten(args)
+
+        # A function of the leaves, because the structure of a model does not survive pickling.
+        def flat(*leaves: object) -> object:
+            return function(*jax.tree.unflatten(structure, leaves))
+
+        compiled = jax.jit(flat, compiler_options=OPTIONS).lower(*leaves).compile()
+        # What came out of jax's own cache cannot always be serialised, and need not be.
+        with suppress(OSError, ValueError, NotImplementedError, jax.errors.JaxRuntimeError):
+            content = pickle.dumps(serialize_executable.serialize(compiled))
+            with atomic_path(self.folder / key) as path:
+                path.write_bytes(hashlib.sha256(content).digest() + content)
+        return compiled
+
+
+_current: contextvars.ContextVar[ExecutableStore | None] = contextvars.ContextVar(
+    "store", default=None
+)
+
+
+def current_store() -> ExecutableStore | None:
+    """The store in use, if any."""
+    return _current.get()
+
+
+@contextmanager
+def use_store(store: ExecutableStore | None) -> Iterator[None]:
+    """While the block runs, programs come from `store` and go there."""
+    token = _current.set(store)
+    try:
+        yield
+    finally:
+        _current.reset(token)
+
+
+def _key(function: Callable, args: tuple) -> str:
+    leaves, structure = jax.tree.flatten(args)
+    described = [
+        _versions(),
+        f"{function.__module__}.{function.__qualname__}",
+        str(structure),
+        str([_form(leaf) for leaf in leaves]),
+        str(jax.config.jax_enable_x64),  # pyright: ignore[reportAttributeAccessIssue]
+    ]
+    digest = hashlib.sha256("\n".join(described).encode()).hexdigest()
+    return f"{function.__name__.strip('_')}-{digest[:32]}"
+
+
+def _form(leaf: object) -> tuple[object, ...]:
+    weak = type(leaf) in (bool, int, float) or getattr(leaf, "weak_type", False)
+    return np.shape(leaf), np.result_type(leaf).str, weak  # pyright: ignore[reportArgumentType, reportCallIssue]
+
+
+@functools.cache
+def _versions() -> str:
+    """Digest of petalfit's own source, and versions of the packages that its programs come from."""
+    source = hashlib.sha256()
+    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
+        source.update(path.read_bytes())
+    packages = "equinox", "jax", "jaxlib", "lineax", "numpy", "optimistix"
+    versions = [f"{package} {version(package)}" for package in packages]
+    return "\n".join([source.hexdigest(), platform.python_version(), *versions])
+
+
+@functools.cache
+def _initialise() -> None:
+    """Loaded executables call LAPACK, whose entry points jax looks up when it first lowers a call."""
+    jax.jit(jnp.linalg.cholesky).lower(jax.ShapeDtypeStruct((1, 1), jnp.float32))

@@ -1,0 +1,88 @@
+"""A cloud as seen from a surface at given foot points: distances, derivatives, Fisher information."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from petalfit.fitting.coordinates import Coordinates
+from petalfit.residuals import edge_score, frame, pull_back
+
+
+class Data(NamedTuple):
+    """A cloud as the core sees it, padded to a fixed size with zero weights.
+
+    Attributes:
+        points: Shape (n, 3), in the model's frame.
+        weights: How many observations each point counts for; zero for padding.
+        sigma: Standard deviation of the noise, in the unit of length; NaN to estimate it.
+    """
+
+    points: Float[Array, "n 3"]
+    weights: Float[Array, " n"]
+    sigma: Float[Array, ""]
+
+
+class Survey(NamedTuple):
+    """What is known at foot points. Derivatives are by the coordinates t of the free parameters.
+
+    Attributes:
+        position: S, shape (n, 3).
+        normal: Unit normals, shape (n, 3).
+        distance: Signed normal distances d, positive on the normal's side, shape (n,).
+        slopes: ∂d/∂t, shape (n, p).
+        beyond: Distances beyond the nearer u edge and v edge, negative inside, shape (n, 2).
+        sigma: Noise, given or estimated from the distances.
+        information: Fisher information of t at this noise: normal distances count by their Jacobian,
+            points near the edge by the square of their score.
+        whitening: W with W Wᵀ = σ⁻²(information + 1)⁻¹: the columns of σW are one standard error each.
+            The identity is the information of the typical ranges.
+    """
+
+    position: Float[Array, "n 3"]
+    normal: Float[Array, "n 3"]
+    distance: Float[Array, " n"]
+    slopes: Float[Array, "n p"]
+    beyond: Float[Array, "n 2"]
+    sigma: Float[Array, ""]
+    information: Float[Array, "p p"]
+    whitening: Float[Array, "p p"]
+
+
+def survey(
+    coordinates: Coordinates, data: Data, t: Float[Array, " p"], uv: Float[Array, "n 2"]
+) -> Survey:
+    """See `Survey`."""
+    model = coordinates.model(t)
+    here = frame(model, uv)
+    distance, beyond = here.distance(data.points), here.beyond(data.points)
+    sigma = estimate_sigma(data, distance, len(t))
+    edge = jnp.sum(edge_score(beyond / sigma)[..., None] * here.conormals, axis=1)
+    pulled = pull_back(model, jnp.tile(uv, (2, 1)), -jnp.concatenate([here.normal, edge]))
+    slopes = coordinates.gather(pulled) * coordinates.slopes(t)
+    rows = slopes * (jnp.sqrt(jnp.tile(data.weights, 2)) / sigma)[:, None]
+    information = rows.T @ rows
+    root = jnp.linalg.cholesky(information + jnp.eye(len(t)))
+    inverse = jax.scipy.linalg.solve_triangular(root, jnp.eye(len(t)), lower=True)
+    return Survey(
+        here.position,
+        here.normal,
+        distance,
+        slopes[: len(uv)],
+        beyond,
+        sigma,
+        information,
+        inverse.T / sigma,
+    )
+
+
+def estimate_sigma(data: Data, distance: Float[Array, " n"], free: int) -> Float[Array, ""]:
+    """√(Σ w d² / (Σ w − p)), or the noise that was given; never below 1e-9 of the extent."""
+    count = jnp.sum(data.weights)
+    variance = jnp.sum(data.weights * distance**2) / jnp.maximum(count - free, 1)
+    extent = jnp.max(jnp.abs(data.points))
+    estimated = jnp.maximum(jnp.sqrt(variance), 1e-9 * extent)
+    return jnp.where(jnp.isnan(data.sigma), estimated, data.sigma)
