@@ -1,23 +1,19 @@
 """`petalfit fit`: from a file to named parameters, a mesh and a report."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from tyro.conf import Positional, UseAppendAction, arg
 
 from petalfit.cli.options import Quiet, require_noise, require_seed
-from petalfit.cli.status import NOT_CONVERGED, SUCCESS, CommandError
-
-if TYPE_CHECKING:
-    from petalfit.components import PeonyPetal
-
+from petalfit.cli.status import NOT_CONVERGED, SUCCESS
 
 Target = Annotated[
     Positional[Path],
     arg(
         metavar="TARGET",
         help="Point cloud (.ply .xyz .txt .csv .npy .npz) or mesh (.ply .obj .stl .glb .gltf), in the "
-        "frame and unit of the model: its base at the origin, its tip towards +y, its width along x.",
+        "frame and unit of the model: its length along +y from the plane y = 0, its width along x.",
     ),
 ]
 Folder = Annotated[
@@ -74,13 +70,13 @@ def fit(
         show(f"reading {target}")
         cloud = PointCloud.load(target)
         with compilation_cache() as compiled:
-            from petalfit.fitting import fit_petal
+            from petalfit.fitting import FitResult, fit_petal
 
             again = "" if compiled else " (compiling, which only the first fit needs)"
             result = fit_petal(
                 cloud,
                 free=_names(free),
-                init=None if init is None else _model(init),
+                init=None if init is None else FitResult.load(init).model,
                 noise=noise,
                 seed=seed,
                 throw=False,
@@ -103,18 +99,3 @@ def _names(free: tuple[str, ...]) -> list[str] | None:
     if not free:
         return None
     return [name for text in free for name in text.replace(",", " ").split()]
-
-
-def _model(path: Path) -> "PeonyPetal":
-    from petalfit.fitting import FitResult
-    from petalfit.observations import TargetError
-
-    try:
-        model = FitResult.load(path).model
-        for value in vars(model).values():
-            float(value)
-    except TargetError:
-        raise
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise CommandError(f"{path} is a damaged fit result ({error!r}); fit again.") from error
-    return model  # pyright: ignore[reportReturnType] - fit_petal checks it

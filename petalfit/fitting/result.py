@@ -150,7 +150,7 @@ class FitResult:
         """Read what `save` wrote.
 
         Raises:
-            TargetError: The file cannot be read, or is no fit result of a known version.
+            TargetError: The file cannot be read, is damaged, or is no fit result of a known version.
         """
         try:
             with open(path, encoding="utf-8") as file:
@@ -166,7 +166,12 @@ class FitResult:
                 f"{os.fspath(path)} has version {content.get('version')} of the format; this "
                 f"petalfit reads version {VERSION}."
             )
-        return cls._from_json(content)
+        try:
+            return cls._from_json(content)
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            raise TargetError(
+                f"{os.fspath(path)} is a damaged fit result ({error!r}); fit again."
+            ) from error
 
     def report(self, path: str | os.PathLike[str]) -> None:
         """Write one self-contained HTML page with the parameter table and pictures."""
@@ -200,7 +205,9 @@ class FitResult:
         return cls(
             **{name: fields[name] for name in kept}
             | {
-                "model": model(**{name: fields["values"][name] for name in parameters(model)}),
+                "model": model(
+                    **{name: float(fields["values"][name]) for name in parameters(model)}
+                ),
                 "pose": Pose(
                     np.array(pose["rotation"]), np.array(pose["translation"]), pose["scale"]
                 ),
