@@ -20,6 +20,8 @@ from petalfit.surfaces import AbstractSurface
 _DETERMINED = 0.3
 # Distances of more than this fraction of the cloud's diagonal are no noise.
 _MISFIT = 0.02
+# And of less, if the model had to be bent to the bounds of its parameters.
+_STRAINED_MISFIT = 0.005
 _GROSS = 6.0  # in units of the noise
 # By chance alone, the best of the some 200 frequencies that ribs could have leads by 2 log 200 in χ².
 _CLEAR_LEAD = 20.0
@@ -191,7 +193,15 @@ def _result(
     )
     settled = finite and bool(best.moved <= _SETTLED)
     rms = math.sqrt(np.average(distances**2, weights=weights)) if finite else math.inf
-    misfit = rms > max(_MISFIT * cloud.diagonal, 1.5 * (noise or 0.0))
+    covariance, identifiable = _covariance(ends, names, declared, finite)
+    values = {
+        name: float(getattr(best.model, name)) if finite else float(getattr(template, name))
+        for name in declared
+    }
+    bounds = _at_bounds(values, names, declared)
+    strained = any(identifiable[name] for name in bounds)
+    tolerable = (_STRAINED_MISFIT if strained else _MISFIT) * cloud.diagonal
+    misfit = rms > max(tolerable, 1.5 * (noise or 0.0))
     status = (
         "not_finite"
         if not finite
@@ -201,17 +211,12 @@ def _result(
         if settled
         else "round_limit"
     )
-    covariance, identifiable = _covariance(ends, names, declared, finite)
-    values = {
-        name: float(getattr(best.model, name)) if finite else float(getattr(template, name))
-        for name in declared
-    }
     sigma = best.sigma
     stderr = dict(zip(names, map(float, np.sqrt(np.diag(covariance))), strict=True))
     flips = settled and best.moved > 0.05
     warnings = [
         *([f"parameters flip by {best.moved:.2g} standard errors"] if flips else []),
-        *_bound_warnings(values, names, declared),
+        *bounds.values(),
         *(f"{name} is not determined by this target" for name in names if not identifiable[name]),
         *_distance_warnings(cloud, distances, weights, rms, noise),
         *_coverage_warnings(best, weights),
@@ -297,14 +302,15 @@ def _doubtful_ribs(names: tuple[str, ...], known: np.ndarray, ends: list[Settled
     return ["rib_frequency"] if not known[names.index(ribs[-1])] else []
 
 
-def _bound_warnings(
+def _at_bounds(
     values: dict[str, float], names: tuple[str, ...], declared: dict[str, Parameter]
-) -> list[str]:
-    found = []
+) -> dict[str, str]:
+    """Parameters at a bound, each with its warning."""
+    found = {}
     for name in names:
         low, high = declared[name].bounds
         if min(values[name] - low, high - values[name]) < 0.005 * (high - low):
-            found.append(f"{name} ended at the bound of its range ({low:g}, {high:g})")
+            found[name] = f"{name} ended at the bound of its range ({low:g}, {high:g})"
     return found
 
 

@@ -45,8 +45,8 @@ def refine_foot_points(
 
     Newton with a Levenberg damping per point, its quadratic model minimised over the domain. Needs
     the second derivatives: where the surface bends within the noise (ribs, the midrib's crest),
-    Gauss-Newton does not converge. Two kinds of points may be at a local minimum and look for a better
-    one: those whose place is weakly determined (between two sheets that meet at a fold, or two ribs),
+    Gauss-Newton does not converge. Two kinds of points look for a better minimum: those that still
+    move or whose place is weakly determined (between two sheets that meet at a fold, or two ribs),
     nearby; and the farthest, everywhere.
 
     Args:
@@ -58,9 +58,9 @@ def refine_foot_points(
     Returns:
         Foot points, never farther from `points` than `uv` was.
     """
-    uv, weak, squared = _newton(surface, points, uv, iterations)
+    uv, doubt, squared = _newton(surface, points, uv, iterations)
     n = len(uv)
-    _, doubtful = jax.lax.top_k(weak, min(n, max(32, n // 32)))
+    _, doubtful = jax.lax.top_k(doubt, min(n, max(32, n // 32)))
     _, far = jax.lax.top_k(squared, min(n, max(32, n // 64)))
     which = jnp.concatenate([doubtful, far])
     places = [_places_nearby(surface, uv[doubtful]), _places_to_look(surface, points[far])]
@@ -115,7 +115,10 @@ _NODES = 17
 def _newton(
     surface: AbstractSurface, points: Array, uv: Array, iterations: int | Array
 ) -> tuple[Array, Array, Array]:
-    """Foot points, how weakly each is determined, and half the squared distance."""
+    """Foot points, how doubtful each is, and half the squared distance.
+
+    The most doubtful would still move; then come those whose place is weakly determined.
+    """
     low, high = (jnp.asarray(side, points.dtype) for side in zip(*surface.domain, strict=True))
 
     @jax.vmap
@@ -135,15 +138,17 @@ def _newton(
             for new, old in zip((trial, *expansion), (uv, value, gradient, hessian), strict=True)
         )
         damping = jnp.where(better, 0.1 * damping, 8.0 * damping + 0.2)
-        move, weak = _newton_step(uv, gradient, hessian, damping, low, high)
-        return uv, move, weak, value, gradient, hessian, damping
+        move, weakness = _newton_step(uv, gradient, hessian, damping, low, high)
+        step = jnp.max(jnp.abs(move), axis=-1)
+        doubt = jnp.where(step > 1e-6, 10.0 + step, weakness)
+        return uv, move, doubt, value, gradient, hessian, damping
 
     # The first pass only expands at the start.
     n = len(points)
     flat = (jnp.full(n, jnp.inf), jnp.zeros((n, 2)), jnp.zeros((n, 2, 2)))
     state = (uv, jnp.zeros((n, 2)), jnp.zeros(n), *flat, jnp.zeros(n))
-    uv, _, weak, value, *_ = jax.lax.fori_loop(0, iterations + 1, step, state)
-    return uv, weak, value
+    uv, _, doubt, value, *_ = jax.lax.fori_loop(0, iterations + 1, step, state)
+    return uv, doubt, value
 
 
 def _newton_step(

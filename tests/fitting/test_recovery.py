@@ -84,8 +84,8 @@ def test_weights_count_points():
     doubled = pf.fit_petal(np.concatenate([points, points[:300]]))
     for name in NAMES:
         difference = weighted.values[name] - doubled.values[name]
-        assert abs(difference) < 0.25 * doubled.stderr[name]
-        assert weighted.stderr[name] == pytest.approx(doubled.stderr[name], rel=0.02)
+        assert abs(difference) < 0.5 * doubled.stderr[name]
+        assert weighted.stderr[name] == pytest.approx(doubled.stderr[name], rel=0.05)
     spoilt = np.concatenate([points, points[:200] + 1.0])
     ignored = pf.fit_petal(pf.PointCloud(spoilt, weights=np.r_[np.ones(1100), np.zeros(200)]))
     plain = pf.fit_petal(points)
