@@ -7,8 +7,11 @@ from .fitting import FitResult as FitResult
 from .fitting import Pose as Pose
 from .fitting import fit as fit
 from .fitting import fit_petal as fit_petal
+from .observations import Camera as Camera
 from .observations import PointCloud as PointCloud
+from .observations import Silhouette as Silhouette
 from .observations import TargetError as TargetError
+from .observations import read_transforms as read_transforms
 from .surfaces import AbstractDeformedSurface as AbstractDeformedSurface
 from .surfaces import AbstractSurface as AbstractSurface
 from .surfaces import Cylinder as Cylinder

@@ -1,7 +1,10 @@
 """What is seen: plain data, checked once on the way in. Nothing here knows a model."""
 
+from petalfit.observations.camera import Camera as Camera
 from petalfit.observations.errors import TargetError as TargetError
 from petalfit.observations.point_cloud import PointCloud as PointCloud
 from petalfit.observations.point_cloud import as_point_cloud as as_point_cloud
 from petalfit.observations.readers import SUFFIXES as SUFFIXES
 from petalfit.observations.readers import read_point_cloud as read_point_cloud
+from petalfit.observations.silhouette import Silhouette as Silhouette
+from petalfit.observations.transforms import read_transforms as read_transforms

@@ -14,7 +14,7 @@ from jaxtyping import Array, ArrayLike, Float, Real
 if TYPE_CHECKING:
     import trimesh
 
-    from petalfit.observations import PointCloud
+    from petalfit.observations import Camera, PointCloud, Silhouette
 
 # A parameter's value. Leaves stay as they are given: a Python float keeps its 64 bits whatever
 # precision jax computes in.
@@ -130,6 +130,12 @@ class AbstractSurface(eqx.Module):
         from petalfit.surfaces.tessellation import tessellate
 
         return tessellate(self, resolution)
+
+    def silhouette(self, camera: Camera) -> Silhouette:
+        """The exact coverage of every pixel of a camera. See `petalfit.surfaces.silhouette`."""
+        from petalfit.surfaces.silhouette import silhouette
+
+        return silhouette(self, camera)
 
 
 def _floats(u: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:

@@ -1,0 +1,189 @@
+"""Silhouettes: which part of an image a petal covers."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from petalfit.observations.camera import Camera
+from petalfit.observations.errors import TargetError
+from petalfit.observations.validation import ArrayLike
+
+# Fewer covered pixels show no shape.
+_FEWEST = 32
+# Another piece this large, relative to the largest, is another object and no speck.
+_ANOTHER = 0.1
+
+
+@dataclass(frozen=True, init=False, eq=False, repr=False)
+class Silhouette:
+    """A mask of a petal, perhaps with the camera that saw it.
+
+    The arrays are checked, copied to float64 and made read-only.
+
+    Args:
+        mask: (H, W), bool, or coverage from 0 to 1: the share of each pixel that the petal covers.
+        camera: What took it; None for an orthographic front view of unknown scale and position.
+        weights: (H, W), at least 0: how far the mask is to be trusted at each pixel; 0 where another
+            object hides the petal, say. Where the mask meets the border of the image it is not trusted
+            in any case: the petal goes on there unseen.
+
+    Raises:
+        TargetError: The mask cannot be used; the message says why and what to do.
+    """
+
+    mask: Float64[np.ndarray, "h w"]
+    camera: Camera | None
+    weights: Float64[np.ndarray, "h w"] | None
+
+    def __init__(
+        self,
+        mask: ArrayLike,
+        camera: Camera | None = None,
+        weights: ArrayLike | None = None,
+    ) -> None:
+        mask = _valid_mask(mask)
+        if camera is not None and mask.shape != camera.shape:
+            raise TargetError(
+                f"the mask has {mask.shape[0]} × {mask.shape[1]} pixels and its camera "
+                f"{camera.shape[0]} × {camera.shape[1]} (rows × columns); they must agree."
+            )
+        if weights is not None:
+            weights = np.array(weights, np.float64)
+            if weights.shape != mask.shape:
+                raise TargetError(
+                    f"weights have shape {weights.shape}, expected the mask's {mask.shape}."
+                )
+            if not (np.isfinite(weights).all() and (weights >= 0).all() and weights.any()):
+                raise TargetError("weights must be finite, at least 0, and not 0 everywhere.")
+        _check_one_object(mask if weights is None else np.where(weights > 0, mask, 0.0))
+        for name, value in ("mask", mask), ("camera", camera), ("weights", weights):
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
+            object.__setattr__(self, name, value)
+
+    def __repr__(self) -> str:
+        rows, columns = self.mask.shape
+        kind = "binary" if self.is_binary else "coverage"
+        extras = [name for name in ("camera", "weights") if getattr(self, name) is not None]
+        return f"Silhouette({', '.join([f'{rows} × {columns} pixels', kind, *extras])})"
+
+    @property
+    def is_binary(self) -> bool:
+        """Whether every pixel is covered wholly or not at all."""
+        return bool(np.isin(self.mask, (0.0, 1.0)).all())
+
+    @property
+    def area(self) -> float:
+        """The covered area, in pixels."""
+        return float(self.mask.sum())
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], camera: Camera | None = None) -> Silhouette:
+        """Reads an image: its alpha channel if it has one, or else its grey values.
+
+        Args:
+            path: PNG, TIFF or any other image that Pillow reads.
+            camera: What took it.
+
+        Raises:
+            TargetError: The file cannot be read, or is a photo and no mask.
+        """
+        return cls(_read_mask(path), camera)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes a grey PNG of 8 bits, black where nothing is; whole or not at all."""
+        from PIL import Image
+
+        from petalfit.observations.atomic import atomic_path
+
+        image = Image.fromarray(np.rint(255 * self.mask).astype(np.uint8))
+        with atomic_path(path) as temporary:
+            image.save(temporary, format="PNG")
+
+
+def _valid_mask(mask: ArrayLike) -> np.ndarray:
+    array = np.asarray(mask)
+    if array.ndim == 3:
+        raise TargetError(
+            f"the mask has shape {array.shape}, which looks like a photo; expected (H, W). "
+            "`petalfit mask PHOTO -o MASK.png` makes a mask of a photo."
+        )
+    if array.ndim != 2 or array.dtype.kind not in "biuf":
+        raise TargetError(
+            f"the mask has shape {array.shape} and type {array.dtype}, expected (H, W), bool or "
+            "coverage from 0 to 1."
+        )
+    array = array.astype(np.float64)
+    if not np.isfinite(array).all():
+        raise TargetError("the mask has a NaN or an infinite value.")
+    low, high = array.min(initial=0.0), array.max(initial=0.0)
+    if low < 0 or high > 1:
+        raise TargetError(
+            f"the mask has values from {low:g} to {high:g}, expected 0 to 1; divide 8-bit grey values "
+            "by 255."
+        )
+    if array.sum() < _FEWEST:
+        raise TargetError(
+            f"the mask is blank: {array.sum():.0f} pixels are covered, and at least {_FEWEST} are "
+            "needed. Is the petal 1 and the background 0?"
+        )
+    if (1 - array).sum() < 1:
+        raise TargetError(
+            "the mask is full: it has no background, hence no outline. Is the petal 1 and the "
+            "background 0?"
+        )
+    return array
+
+
+def _check_one_object(mask: np.ndarray) -> None:
+    """Specks are let pass; a second object is not."""
+    from scipy import ndimage
+
+    labels = np.empty(mask.shape, np.int32)
+    ndimage.label(mask >= 0.5, np.ones((3, 3)), output=labels)
+    sizes = np.bincount(labels.ravel())[1:]
+    others = int(np.count_nonzero(sizes > _ANOTHER * sizes.max(initial=0))) - 1
+    if others > 0:
+        raise TargetError(
+            f"the mask shows several objects: {others} more than a tenth as large as the largest. Keep "
+            "one, or give the others weight 0."
+        )
+
+
+def _read_mask(path: str | os.PathLike[str]) -> np.ndarray:
+    from PIL import Image
+
+    try:
+        with Image.open(path) as image:
+            if image.has_transparency_data:
+                alpha = np.asarray(image.convert("RGBA").getchannel("A"), np.float64) / 255
+                if np.ptp(alpha) > 0:
+                    return alpha
+            array = np.asarray(image if image.mode[0] in "1LIF" else image.convert("RGB"))
+    except FileNotFoundError:
+        raise TargetError(f"{os.fspath(path)} does not exist; check the path.") from None
+    except (OSError, ValueError, Image.DecompressionBombError) as error:
+        raise TargetError(f"{os.fspath(path)} cannot be read as an image: {error}") from None
+    if array.ndim == 3 and np.ptp(array[..., :3], axis=2).max() <= 2:
+        array = array[..., 0]
+    if array.ndim == 3 or _has_many_greys(array):
+        raise TargetError(
+            f"{os.fspath(path)} looks like a photo and no mask; `petalfit mask {os.fspath(path)} -o "
+            "MASK.png` makes a mask of it."
+        )
+    if array.dtype == bool:
+        return array.astype(np.float64)
+    return array / (65535 if array.max(initial=0) > 255 else 255)
+
+
+def _has_many_greys(array: np.ndarray) -> bool:
+    """A mask is black or white but for a thin edge."""
+    if array.dtype == bool:
+        return False
+    top = 65535 if array.max(initial=0) > 255 else 255
+    between = (array > 0.1 * top) & (array < 0.9 * top)
+    return bool(between.mean() > 0.25)

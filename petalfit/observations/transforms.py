@@ -1,0 +1,104 @@
+"""The cameras of a `transforms.json`, as NeRF tools write it (instant-ngp, nerfstudio, Blender)."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from petalfit.observations.camera import Camera
+from petalfit.observations.errors import TargetError
+
+# Their cameras look along −z with y up; ours along +z with y down.
+_FLIP = np.diag([1.0, -1.0, -1.0])
+_DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
+
+
+def read_transforms(path: str | os.PathLike[str]) -> dict[str, Camera]:
+    """Cameras by the image that each took, in the order of the file.
+
+    Intrinsics may stand in a frame or at the top: f_x and f_y in pixels or a horizontal angle, with
+    the size of the image; where the size is missing it is taken from the image itself.
+
+    Args:
+        path: The JSON file. Images are looked for beside it.
+
+    Returns:
+        A dictionary from the images' paths, as the file gives them, to cameras.
+
+    Raises:
+        TargetError: The file cannot be read, is no such file, or has lens distortion.
+    """
+    try:
+        content = json.loads(Path(path).read_text(encoding="utf-8"))
+        frames = content["frames"]
+        cameras = {}
+        for frame in frames:
+            name = frame["file_path"]
+            cameras[name] = _camera(content | frame, Path(path).parent / name)
+    except TargetError as error:
+        raise TargetError(f"{path}: {error}") from None
+    except (OSError, ValueError) as error:
+        raise TargetError(f"{path} cannot be read as cameras: {error}") from None
+    except (AttributeError, KeyError, TypeError) as error:
+        raise TargetError(
+            f"{path} is no transforms.json of a NeRF tool ({error!r}); expected frames, each with "
+            "file_path and transform_matrix."
+        ) from None
+    if not cameras:
+        raise TargetError(f"{path} has no frames.")
+    return cameras
+
+
+def _camera(fields: dict[str, Any], image: Path) -> Camera:
+    distorted = [name for name in _DISTORTION if float(fields.get(name, 0.0))]
+    if distorted:
+        raise TargetError(
+            f"lens distortion ({', '.join(distorted)}) is not modelled; undistort the images first."
+        )
+    if "FISHEYE" in str(fields.get("camera_model", "")).upper():
+        raise TargetError(
+            f"the camera model {fields['camera_model']} is not known; undistort first."
+        )
+    if "w" in fields and "h" in fields:
+        width, height = int(fields["w"]), int(fields["h"])
+    else:
+        width, height = _size(image)
+    if "fl_x" in fields:
+        focal_x = float(fields["fl_x"])
+        focal_y = float(fields.get("fl_y", focal_x))
+    else:
+        angle = float(fields["camera_angle_x"])
+        if not 0 < angle < math.pi:
+            raise TargetError(f"camera_angle_x is {angle}; expected radians between 0 and π.")
+        focal_x = focal_y = 0.5 * width / math.tan(0.5 * angle)
+    centre = float(fields.get("cx", 0.5 * width)), float(fields.get("cy", 0.5 * height))
+    pose = np.array(fields["transform_matrix"], np.float64)
+    if pose.shape not in ((4, 4), (3, 4)):
+        raise TargetError(f"transform_matrix has shape {pose.shape}, expected (4, 4).")
+    rotation = _FLIP @ pose[:3, :3].T
+    return Camera.perspective(
+        [[focal_x, 0, centre[0]], [0, focal_y, centre[1]], [0, 0, 1]],
+        rotation,
+        -rotation @ pose[:3, 3],
+        (height, width),
+    )
+
+
+def _size(image: Path) -> tuple[int, int]:
+    from PIL import Image, UnidentifiedImageError
+
+    # Blender's files leave the suffix out.
+    for path in (image, image.with_name(image.name + ".png")):
+        try:
+            with Image.open(path) as opened:
+                return opened.size
+        except (FileNotFoundError, IsADirectoryError):
+            continue
+        except (OSError, UnidentifiedImageError) as error:
+            raise TargetError(f"{path} cannot be read as an image: {error}") from None
+    raise TargetError(f"w and h are missing, and so is the image {image}.")
