@@ -66,11 +66,12 @@ def _run(arguments: list[str]) -> int:
 
     from petalfit.cli.demo import demo
     from petalfit.cli.fit import fit
+    from petalfit.cli.mask import mask
     from petalfit.cli.parameters import parameters
     from petalfit.cli.synth import synth
 
     return tyro.extras.subcommand_cli_from_dict(
-        {"demo": demo, "fit": fit, "synth": synth, "parameters": parameters},
+        {"demo": demo, "fit": fit, "mask": mask, "synth": synth, "parameters": parameters},
         prog="petalfit",
         description=DESCRIPTION,
         args=arguments or ["--help"],

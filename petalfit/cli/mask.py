@@ -1,0 +1,90 @@
+"""`petalfit mask`: from a photo to the mask of one petal, or flower."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from tyro.conf import Positional, UseAppendAction, arg
+
+from petalfit.cli.options import Quiet
+from petalfit.cli.status import SUCCESS, CommandError, require
+
+if TYPE_CHECKING:
+    import numpy as np
+
+Photo = Annotated[
+    Positional[Path],
+    arg(
+        metavar="PHOTO",
+        help="Image of any common kind. If it has an alpha channel, that is the mask.",
+    ),
+]
+File = Annotated[
+    Path,
+    arg(
+        aliases=["-o"],
+        metavar="MASK.png",
+        help="The mask to write, white on black. Beside it comes MASK-preview.png, to look at.",
+    ),
+]
+Points = Annotated[
+    UseAppendAction[tuple[str, ...]],
+    arg(
+        name="point",
+        metavar="X,Y",
+        help="A place on the petal, in pixels from the left and from the top; repeat it for parts of "
+        "other colours. Without it the mask is what differs most from the border of the photo, the "
+        "largest piece of it.",
+    ),
+]
+
+
+def mask(photo: Photo, out: File, points: Points = (), quiet: Quiet = False) -> int:
+    """Cut a petal out of a photo."""
+    require(out.suffix.lower() == ".png", f"{out} is no .png; a mask is written as one.")
+    places = [_place(text) for text in points]
+    from petalfit.cli.console import output, progress
+    from petalfit.observations import Silhouette
+    from petalfit.observations.photo import read_photo, segment
+
+    with progress(quiet) as show:
+        show(f"reading {photo}")
+        image = read_photo(photo)
+        show("finding the petal")
+        found = segment(image, places)
+        silhouette = Silhouette(found)
+        preview = out.with_name(f"{out.stem}-preview.png")
+        try:
+            _write_preview(image, found, preview)
+            silhouette.save(out)
+        except OSError as error:
+            reason = error.strerror or error
+            raise CommandError(f"{out} cannot be written ({reason}); choose another.") from error
+    if not quiet:
+        rows, columns = found.shape
+        share = 100 * silhouette.area / found.size
+        line = f"{out}: {columns} × {rows} pixels, {share:.1f} % of them the petal's"
+        output().print(line, soft_wrap=True, markup=False)
+        output().print(f"{preview}: for the eye", soft_wrap=True, markup=False)
+    return SUCCESS
+
+
+def _place(text: str) -> tuple[float, float]:
+    try:
+        x, y = map(float, text.split(","))
+    except ValueError:
+        raise CommandError(f"--point {text} is no place; write --point 320,200.") from None
+    return x, y
+
+
+def _write_preview(image: "np.ndarray", found: "np.ndarray", path: Path) -> None:
+    """The photo, dark outside the mask, with the outline drawn."""
+    import numpy as np
+    from PIL import Image
+    from skimage.segmentation import find_boundaries
+
+    from petalfit.observations.atomic import atomic_path
+
+    picture = np.where(found[..., None], image[..., :3], 0.35 * image[..., :3])
+    picture[find_boundaries(found, mode="thick")] = (1.0, 1.0, 1.0)
+    with atomic_path(path) as temporary:
+        Image.fromarray(np.rint(255 * picture).astype(np.uint8)).save(temporary, format="PNG")
