@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextvars
 import functools
 import hashlib
+import os
 import pickle
 import platform
 from collections.abc import Callable, Iterator
@@ -97,6 +98,8 @@ def _key(function: Callable, args: tuple) -> str:
         f"{function.__module__}.{function.__qualname__}",
         str(structure),
         str([_form(leaf) for leaf in leaves]),
+        jax.default_backend(),
+        os.environ.get("XLA_FLAGS", ""),
         str(jax.config.jax_enable_x64),  # pyright: ignore[reportAttributeAccessIssue]
     ]
     digest = hashlib.sha256("\n".join(described).encode()).hexdigest()

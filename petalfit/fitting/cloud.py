@@ -173,12 +173,19 @@ def _starts(
     some = order[:_START_POINTS]
     data = pad(points[some], weights[some], None)
     progress("searching the outline")
-    rough = peony_start.fit_outline(template, free, points[some])
-    rough, uv = _with_heights(coordinates, rough, data)
-    smooth = with_values(rough, {"rib_amplitude": 0.0})
-    held = coordinates.holding(RIBS).around(smooth)
-    polished = _solve(held, smooth, data, uv, 8, 1.0)
+    outline, complete = peony_start.fit_outline(template, free, points[some])
+    polished = _smooth(coordinates, outline, data)
+    if "b_y" in free and not complete:
+        # Without its tip a petal has the outline of a shorter one: look at several lengths.
+        rest = [name for name in free if name != "b_y"]
+        for length in _LENGTHS:
+            longer = with_values(template, {"b_y": length})
+            outline, _ = peony_start.fit_outline(longer, rest, points[some])
+            polished = min(
+                polished, _smooth(coordinates, outline, data), key=lambda start: start.sigma
+            )
     smooth = polished.model
+    held = coordinates.holding(RIBS).around(smooth)
     if not set(RIBS) & set(free):
         yield "the outline", with_values(smooth, {"rib_amplitude": template.rib_amplitude})
         return
@@ -193,6 +200,13 @@ def _starts(
         if basins[0].gain - gain <= _CLEAR_LEAD:
             ribs = {"rib_frequency": frequency, "rib_amplitude": amplitude}
             yield f"rib_frequency {frequency:.2f}", with_values(smooth, ribs)
+
+
+def _smooth(coordinates: Coordinates[PeonyPetal], outline: PeonyPetal, data: Data) -> Polished:
+    """A petal without ribs, from its outline."""
+    rough, uv = _with_heights(coordinates, outline, data)
+    held = coordinates.holding(RIBS).around(with_values(rough, {"rib_amplitude": 0.0}))
+    return _solve(held, held.template, data, uv, 8, 1.0)
 
 
 def _with_heights(
@@ -331,4 +345,5 @@ def _finish(
 
 _ROUNDS = 30
 _LOOKING_ROUNDS = 16
+_LENGTHS = (16.0, 21.0, 27.0, 35.0)
 _TOLERANCE = 1e-2  # standard errors
