@@ -42,14 +42,14 @@ def _distance_rows(petal, u, v):
     return petal(u, v), [(getattr(jacobian, name) * normal).sum(-1) for name in NAMES]
 
 
-def noisy_cloud(petal, n, sigma, rng):
-    """Area-uniform points by plain rejection, and the Cramér–Rao bounds of their distances.
+def noisy_cloud(petal, n, sigma, rng, end=1.0):
+    """Area-uniform points with v below `end`, by plain rejection, and their bounds.
 
-    The bounds are those of normal distances at the true foot points. Nothing of the package's
+    The Cramér–Rao bounds are those of normal distances at the true foot points. Nothing of the package's
     sampling is used.
     """
     with jax.enable_x64(True):
-        uv = rng.uniform([-0.5, 0.0], [0.5, 1.0], (200 * max(n, 500), 2))
+        uv = rng.uniform([-0.5, 0.0], [0.5, end], (200 * max(n, 500), 2))
         density = np.asarray(_area_element(petal, *uv.T))
         kept = uv[rng.uniform(0, density.max(), len(uv)) < density][:n]
         assert len(kept) == n

@@ -65,14 +65,12 @@ def test_half_a_petal_is_enough_and_its_absence_is_said():
     assert any("has no data" in warning for warning in result.warnings)
 
 
-@pytest.mark.parametrize("seed", [702, 706, 707])
+@pytest.mark.parametrize("seed", range(4))
 def test_without_its_tip_a_petal_is_not_taken_for_a_shorter_one(seed):
     rng = np.random.default_rng(seed)
     petal = random_petal(rng)
-    points, _ = noisy_cloud(petal, 2200, SIGMA, rng)
-    # The base's two thirds of the petal, by its own height along y.
-    kept = points[points[:, 1] < np.quantile(points[:, 1], 0.65)]
-    result = pf.fit_petal(kept)
+    points, _ = noisy_cloud(petal, 1500, SIGMA, rng, end=0.6)
+    result = pf.fit_petal(points)
     for name in NAMES:
         assert abs(result.values[name] - getattr(petal, name)) < 6 * result.stderr[name]
 
