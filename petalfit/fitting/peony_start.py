@@ -149,7 +149,7 @@ def rib_periodogram(
         uv: Foot points.
 
     Returns:
-        At most `BASINS` peaks.
+        From one to `BASINS` peaks.
     """
     u, v = uv.T
     # The midrib's flanks are steep: there a small shift of u is a large distance.
@@ -162,12 +162,14 @@ def rib_periodogram(
     amplitude, gain = covariance / power, covariance**2 / power
     before, after = np.append(0.0, gain[:-1]), np.append(gain[1:], 0.0)
     peaks = np.flatnonzero((gain >= before) & (gain > after))
-    peaks = peaks[np.argsort(-gain[peaks])][:BASINS]
+    # Where no distance is left to explain there is no peak, and any frequency will do.
+    peaks = peaks[np.argsort(-gain[peaks])][:BASINS] if len(peaks) else [int(np.argmax(gain))]
     # The vertex of a parabola through a peak and its neighbours.
     curvature = before + after - 2 * gain
     vertex = 0.5 * (before - after) / np.where(curvature < 0, curvature, np.inf)
     step = _FREQUENCIES[1] - _FREQUENCIES[0] if frequency is None else 0.0
-    variance = (np.sum(robust * distance**2) - np.max(gain, initial=0.0)) / np.sum(robust)
+    left = np.sum(robust * distance**2) - np.max(gain)
+    variance = max(left / np.sum(robust), 1e-300)
     return [
         RibBasin(
             float(frequencies[k] + step * np.clip(vertex[k], -0.5, 0.5)),

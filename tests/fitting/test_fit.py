@@ -13,6 +13,7 @@ from petalfit.fitting import cloud as cloud_module
 from petalfit.fitting import programs
 from petalfit.fitting.cloud import bucket
 from petalfit.fitting.coordinates import Coordinates
+from petalfit.fitting.peony_start import rib_periodogram
 
 from .conftest import NAMES, SIGMA, noisy_cloud
 
@@ -102,6 +103,13 @@ def test_without_ribs_their_frequency_is_not_determined():
     assert result.interval()["rib_frequency"] == (-math.inf, math.inf)
     assert "rib_frequency is not determined" in result.message
     assert abs(result.values["a_x"] - petal.a_x) < 6 * result.stderr["a_x"]
+
+
+def test_a_periodogram_of_nothing_has_a_peak_all_the_same():
+    zero = np.zeros(9)
+    (basin,) = rib_periodogram(None, zero, np.ones((9, 3)), np.ones(9), np.zeros((9, 2)))
+    assert basin.amplitude == basin.gain == 0
+    assert math.isfinite(basin.frequency)
 
 
 def test_a_cloud_in_another_frame_is_not_accepted_in_silence(cloud):
