@@ -104,17 +104,16 @@ def _petal(settings: tuple[str, ...]) -> "PeonyPetal":
 
 
 def _write_mesh(petal: "PeonyPetal", path: Path) -> None:
+    from petalfit.export import obj_text
     from petalfit.observations.atomic import atomic_path
 
-    kind = path.suffix.lower().removeprefix(".")
-    options = {"glb": {"include_normals": True}, "stl": {}}
-    options["obj"] = {"include_normals": True, "write_texture": False, "digits": 9}
-    content = petal.mesh().export(file_type=kind, **options[kind])
-    if isinstance(content, str):
-        # A material file, which trimesh names here, is not written.
-        lines = content.splitlines(keepends=True)
-        kept = (line for line in lines if not line.startswith(("mtllib ", "usemtl ")))
-        content = "".join(kept).encode()
+    mesh, suffix = petal.mesh(), path.suffix.lower()
+    if suffix == ".obj":
+        content = obj_text(mesh).encode()
+    elif suffix == ".glb":
+        content = mesh.export(file_type="glb", include_normals=True)
+    else:
+        content = mesh.export(file_type="stl")
     assert isinstance(content, bytes)
     with atomic_path(path) as temporary:
         temporary.write_bytes(content)

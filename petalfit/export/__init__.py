@@ -3,3 +3,4 @@
 from petalfit.export.mesh import SUFFIXES as SUFFIXES
 from petalfit.export.mesh import export_glb as export_glb
 from petalfit.export.mesh import export_mesh as export_mesh
+from petalfit.export.mesh import obj_text as obj_text

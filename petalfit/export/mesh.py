@@ -56,7 +56,8 @@ def export_mesh(
         return
     mesh = posed_mesh(result, resolution)
     if suffix == ".obj":
-        _write(_obj(mesh, result).encode(), path)
+        title = f"{type(result.model).__name__} fitted by petalfit {__version__}"
+        _write(obj_text(mesh, header=title).encode(), path)
     elif suffix == ".ply":
         _write(export_ply(mesh, vertex_normal=True), path)
     else:
@@ -147,12 +148,16 @@ def posed_mesh(result: FitResult, resolution: tuple[int, int]) -> trimesh.Trimes
     return mesh
 
 
-def _obj(mesh: trimesh.Trimesh, result: FitResult) -> str:
-    """OBJ without the lines that name a material file, which there is none of."""
+def obj_text(mesh: trimesh.Trimesh, **options: Any) -> str:
+    """A mesh as OBJ, without the lines that name a material file, which there is none of.
+
+    Args:
+        mesh: With normals.
+        options: Further ones of trimesh's `export_obj`.
+    """
     from trimesh.exchange.obj import export_obj
 
-    title = f"{type(result.model).__name__} fitted by petalfit {__version__}"
-    text = str(export_obj(mesh, include_normals=True, write_texture=False, digits=9, header=title))
+    text = str(export_obj(mesh, include_normals=True, write_texture=False, digits=9, **options))
     lines = text.splitlines(keepends=True)
     return "".join(line for line in lines if not line.startswith(("mtllib ", "usemtl ")))
 

@@ -150,14 +150,17 @@ def _with_unused(
     data = pad(points[rest], np.ones(len(rest)), end.sigma)
     uv = programs.refine(end.model, data.points, plane_feet(end.model, data.points), 3)
     seen = programs.survey(coordinates, data, coordinates.inverse(end.model), uv)
-    there = (np.asarray(seen.distance), np.max(np.asarray(seen.beyond), axis=-1), np.asarray(uv))
-    back = np.argsort(np.concatenate([np.flatnonzero(used), rest]))
-    known = (end.distance, end.beyond, end.uv)
-    count = np.count_nonzero(used)
-    distance, beyond, uv = (
-        np.concatenate([a[:count], b[: len(rest)]])[back] for a, b in zip(known, there, strict=True)
+
+    def all_points(of_used: np.ndarray, of_rest: np.ndarray) -> np.ndarray:
+        full = np.empty((len(points), *of_used.shape[1:]))
+        full[used], full[rest] = of_used[: len(points) - len(rest)], of_rest[: len(rest)]
+        return full
+
+    return end._replace(
+        distance=all_points(end.distance, np.asarray(seen.distance)),
+        beyond=all_points(end.beyond, np.max(np.asarray(seen.beyond), axis=-1)),
+        uv=all_points(end.uv, np.asarray(uv)),
     )
-    return end._replace(distance=distance, beyond=beyond, uv=uv)
 
 
 def _starts(

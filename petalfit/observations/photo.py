@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from petalfit.observations.errors import TargetError
+from petalfit.observations.images import opened_image
 
 _WORKING_SIDE = 400  # pixels: shapes are found on a smaller image, edges on the photo itself
 _CLUSTERS = 6
@@ -25,16 +26,11 @@ def read_photo(path: str | os.PathLike[str]) -> Float[np.ndarray, "h w c"]:
     Raises:
         TargetError: The file cannot be read as an image.
     """
-    from PIL import Image, ImageOps
+    from PIL import ImageOps
 
-    try:
-        with Image.open(path) as opened:
-            image = ImageOps.exif_transpose(opened)  # as people see it, not as the camera was held
-            array = np.asarray(image.convert("RGBA"), np.float64) / 255
-    except FileNotFoundError:
-        raise TargetError(f"{os.fspath(path)} does not exist; check the path.") from None
-    except (OSError, ValueError, Image.DecompressionBombError) as error:
-        raise TargetError(f"{os.fspath(path)} cannot be read as an image: {error}") from None
+    with opened_image(path) as opened:
+        image = ImageOps.exif_transpose(opened)  # as people see it, not as the camera was held
+        array = np.asarray(image.convert("RGBA"), np.float64) / 255
     return array if np.ptp(array[..., 3]) > 0 else array[..., :3]
 
 

@@ -10,6 +10,7 @@ from jaxtyping import Float64
 
 from petalfit.observations.camera import Camera
 from petalfit.observations.errors import TargetError
+from petalfit.observations.images import opened_image
 from petalfit.observations.validation import ArrayLike
 
 # Fewer covered pixels show no shape.
@@ -155,19 +156,12 @@ def _check_one_object(mask: np.ndarray) -> None:
 
 
 def _read_mask(path: str | os.PathLike[str]) -> np.ndarray:
-    from PIL import Image
-
-    try:
-        with Image.open(path) as image:
-            if image.has_transparency_data:
-                alpha = np.asarray(image.convert("RGBA").getchannel("A"), np.float64) / 255
-                if np.ptp(alpha) > 0:
-                    return alpha
-            array = np.asarray(image if image.mode[0] in "1LIF" else image.convert("RGB"))
-    except FileNotFoundError:
-        raise TargetError(f"{os.fspath(path)} does not exist; check the path.") from None
-    except (OSError, ValueError, Image.DecompressionBombError) as error:
-        raise TargetError(f"{os.fspath(path)} cannot be read as an image: {error}") from None
+    with opened_image(path) as image:
+        if image.has_transparency_data:
+            alpha = np.asarray(image.convert("RGBA").getchannel("A"), np.float64) / 255
+            if np.ptp(alpha) > 0:
+                return alpha
+        array = np.asarray(image if image.mode[0] in "1LIF" else image.convert("RGB"))
     if array.ndim == 3 and np.ptp(array[..., :3], axis=2).max() <= 2:
         array = array[..., 0]
     if array.ndim == 3 or _has_many_greys(array):

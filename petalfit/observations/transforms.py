@@ -12,6 +12,7 @@ import numpy as np
 
 from petalfit.observations.camera import Camera
 from petalfit.observations.errors import TargetError
+from petalfit.observations.images import opened_image
 
 # Their cameras look along −z with y up; ours along +z with y down.
 _FLIP = np.diag([1.0, -1.0, -1.0])
@@ -90,15 +91,9 @@ def _camera(fields: dict[str, Any], image: Path) -> Camera:
 
 
 def _size(image: Path) -> tuple[int, int]:
-    from PIL import Image, UnidentifiedImageError
-
     # Blender's files leave the suffix out.
     for path in (image, image.with_name(image.name + ".png")):
-        try:
-            with Image.open(path) as opened:
+        if path.is_file():
+            with opened_image(path) as opened:
                 return opened.size
-        except (FileNotFoundError, IsADirectoryError):
-            continue
-        except (OSError, UnidentifiedImageError) as error:
-            raise TargetError(f"{path} cannot be read as an image: {error}") from None
     raise TargetError(f"w and h are missing, and so is the image {image}.")

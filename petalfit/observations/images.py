@@ -1,0 +1,33 @@
+"""Image files, opened the same way whatever is then read from them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from petalfit.observations.errors import TargetError
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+
+@contextmanager
+def opened_image(path: str | os.PathLike[str]) -> Iterator[Image]:
+    """The image while it is open; its pixels are to be read within the block.
+
+    Raises:
+        TargetError: The file does not exist, or cannot be read as an image.
+    """
+    from PIL import Image as images
+
+    try:
+        with images.open(path) as image:
+            yield image
+    except FileNotFoundError:
+        raise TargetError(f"{os.fspath(path)} does not exist; check the path.") from None
+    except TargetError:
+        raise
+    except (OSError, ValueError, images.DecompressionBombError) as error:
+        raise TargetError(f"{os.fspath(path)} cannot be read as an image: {error}") from None
