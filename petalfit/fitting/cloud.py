@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
@@ -9,12 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from petalfit.compilation import bucket, pad_to
 from petalfit.components import PeonyPetal
 from petalfit.fitting import peony_start, programs
 from petalfit.fitting.coordinates import Coordinates
 from petalfit.fitting.peony_start import HEIGHTS, RIBS, with_values
-from petalfit.fitting.survey import Data
-from petalfit.residuals import perturbation
+from petalfit.fitting.rounds import AbstractObserved, Polished, minimise
+from petalfit.residuals import AbstractTerm, Data, TangentDistance, perturbation
+from petalfit.surfaces import AbstractSurface
 
 # Points that a start is found with. Enough for the ribs, which are fine; and small clouds are fitted
 # with programs of a single size.
@@ -24,24 +27,6 @@ _BIAS_POINTS = 6144
 _CLEAR_LEAD = 50.0
 
 Progress = Callable[[str], None]
-
-
-class Polished(NamedTuple):
-    """Where the solver stopped.
-
-    Attributes:
-        model: The petal.
-        uv: Foot points.
-        sigma: Noise, given or estimated.
-        rounds: How many rounds were made.
-        moved: By how much the last ones moved, in standard errors, the largest over the directions.
-    """
-
-    model: PeonyPetal
-    uv: Array
-    sigma: float
-    rounds: int
-    moved: float
 
 
 class Settled(NamedTuple):
@@ -72,20 +57,41 @@ class Settled(NamedTuple):
     chi2: float
 
 
-def bucket(n: int) -> int:
-    """The size that n points are padded to: 64, 96, 128, 192, 256, …, so that few sizes compile."""
-    power = max(64, 1 << (n - 1).bit_length())
-    return power * 3 // 4 if n <= power * 3 // 4 and power > 64 else power
-
-
 def pad(points: np.ndarray, weights: np.ndarray, noise: float | None) -> Data:
     """A cloud of a bucketed size; the padding repeats the first point with weight zero."""
-    extra = bucket(len(points)) - len(points)
+    size = bucket(len(points))
     return Data(
-        jnp.asarray(np.concatenate([points, np.repeat(points[:1], extra, axis=0)])),
-        jnp.asarray(np.concatenate([weights, np.zeros(extra)])),
+        jnp.asarray(pad_to(points, size)),
+        jnp.asarray(np.concatenate([weights, np.zeros(size - len(weights))])),
         jnp.asarray(np.nan if noise is None else float(noise)),
     )
+
+
+@dataclasses.dataclass(frozen=True)
+class ObservedCloud(AbstractObserved):
+    """A cloud, as the rounds need it."""
+
+    data: Data
+
+    def at(self, uv: Float[Array, "n 2"]) -> TangentDistance:
+        """Its term with these foot points and the noise still to be estimated."""
+        return TangentDistance(data=self.data, uv=uv, sigma=self.data.sigma)
+
+    def look(self, model: AbstractSurface, term: AbstractTerm | None) -> TangentDistance:
+        assert isinstance(model, PeonyPetal)
+        points = self.data.points
+        if term is None:
+            return self.at(programs.refine(model, points, plane_feet(model, points), 2))
+        assert isinstance(term, TangentDistance)
+        uv = programs.refine(model, points, term.uv, 2)
+        return TangentDistance(data=self.data, uv=uv, sigma=term.sigma)
+
+    def information(
+        self, coordinates: Coordinates, t: np.ndarray, term: AbstractTerm
+    ) -> tuple[np.ndarray, float]:
+        assert isinstance(term, TangentDistance)
+        seen = programs.survey(coordinates, self.data, t, term.uv)
+        return np.asarray(seen.information), float(seen.sigma)
 
 
 def plane_feet(petal: PeonyPetal, points: Float[Array, "n 3"]) -> Float[Array, "n 2"]:
@@ -193,7 +199,9 @@ def _starts(
         yield "the outline", with_values(smooth, {"rib_amplitude": template.rib_amplitude})
         return
     progress("searching the rib frequency")
-    uv = programs.refine(smooth, data.points, polished.uv, 2)
+    (term,) = polished.terms
+    assert isinstance(term, TangentDistance)
+    uv = programs.refine(smooth, data.points, term.uv, 2)
     seen = programs.survey(held, data, held.inverse(smooth), uv)
     basins = peony_start.rib_periodogram(
         None if "rib_frequency" in free else float(template.rib_frequency),
@@ -209,7 +217,8 @@ def _smooth(coordinates: Coordinates[PeonyPetal], outline: PeonyPetal, data: Dat
     """A petal without ribs, from its outline."""
     rough, uv = _with_heights(coordinates, outline, data)
     held = coordinates.holding(RIBS).around(with_values(rough, {"rib_amplitude": 0.0}))
-    return _solve(held, held.template, data, uv, 8, 1.0)
+    cloud = ObservedCloud(data)
+    return minimise(held, [cloud], held.template, [cloud.at(uv)], 8, 1.0)
 
 
 def _with_heights(
@@ -247,42 +256,16 @@ def _settle(
     if len(order) > 2 * _START_POINTS:
         some = order[:_START_POINTS]
         data = pad(points[some], weights[some], noise)
-        model = _solve(coordinates, model, data, plane_feet(model, data.points), 10, 0.1).model
+        cloud = ObservedCloud(data)
+        start = cloud.at(plane_feet(model, data.points))
+        model = minimise(coordinates, [cloud], model, [start], 10, 0.1).model
     data = pad(points, weights, noise)
     some = order[:_BIAS_POINTS]
     sample = data if len(order) <= _BIAS_POINTS else pad(points[some], weights[some], noise)
-    uv = plane_feet(model, data.points)
-    polished = _solve(coordinates, model, data, uv, _ROUNDS, _TOLERANCE)
+    cloud = ObservedCloud(data)
+    start = cloud.at(plane_feet(model, data.points))
+    polished = minimise(coordinates, [cloud], model, [start], _ROUNDS, _TOLERANCE)
     return _finish(coordinates, label, polished, data, sample)
-
-
-def _solve(
-    coordinates: Coordinates[PeonyPetal],
-    model: PeonyPetal,
-    data: Data,
-    uv: Array,
-    max_rounds: int,
-    tolerance: float,
-) -> Polished:
-    """Rounds of the solver, between which foot points look for better places far away.
-
-    Later they do not: a foot point that jumps to and fro must not keep the rest moving.
-    """
-    t, rounds, whitening = coordinates.inverse(model), 0, None
-    while True:
-        uv = programs.refine(model, data.points, uv, 2)
-        if whitening is None:
-            whitening = np.asarray(programs.survey(coordinates, data, t, uv).whitening)
-        few = 2 if rounds < _LOOKING_ROUNDS else max_rounds
-        few = min(few, max_rounds - rounds)
-        state = programs.solve(coordinates, data, t, uv, whitening, few, tolerance)
-        before, t, uv = t, np.asarray(state.t), state.uv
-        step = np.linalg.solve(float(state.sigma) * whitening, t - before)
-        moved = float(np.max(np.abs(step)))
-        rounds += int(state.rounds)
-        model = coordinates.model(t)
-        if not moved > tolerance or rounds >= max_rounds:
-            return Polished(model, uv, float(state.sigma), rounds, moved)
 
 
 def _finish(
@@ -302,7 +285,9 @@ def _finish(
         sample: The cloud, or a part of it that is large enough to measure the bias on.
     """
     model, t = polished.model, coordinates.inverse(polished.model)
-    uv = programs.refine(model, data.points, polished.uv, 1)
+    (term,) = polished.terms
+    assert isinstance(term, TangentDistance)
+    uv = programs.refine(model, data.points, term.uv, 1)
     seen = programs.survey(coordinates, data, t, uv)
     information = np.asarray(seen.information)
     places, position = uv, np.asarray(seen.position)
@@ -347,6 +332,5 @@ def _finish(
 
 
 _ROUNDS = 30
-_LOOKING_ROUNDS = 16
 _LENGTHS = (16.0, 21.0, 27.0, 35.0)
 _TOLERANCE = 1e-2  # standard errors

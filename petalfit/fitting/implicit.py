@@ -12,13 +12,16 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from petalfit.fitting.coordinates import Coordinates
-from petalfit.fitting.solve import solve
-from petalfit.fitting.survey import Data, estimate_sigma, survey
+from petalfit.fitting.solve import Prior, solve
+from petalfit.fitting.survey import survey
 from petalfit.residuals import (
     EDGE_NODES,
+    Data,
+    TangentDistance,
     edge_nodes,
     edge_pull,
     edge_score,
+    estimate_sigma,
     frame,
     half_squared_distance,
     pull_back,
@@ -49,11 +52,17 @@ def solve_differentiably(
         The coordinates t of the minimum; `coordinates.values` turns them into parameters.
     """
     held = jax.lax.stop_gradient((coordinates, data, t, uv))
-    settled = solve(*held, survey(*held).whitening, max_rounds, tolerance)
+    seen = survey(*held)
+    term = TangentDistance(data=held[1], uv=held[3], sigma=seen.sigma)
+    root = jnp.linalg.cholesky(seen.information + jnp.eye(len(t)))
+    whitening = jnp.linalg.inv(root).T
+    prior = Prior(jnp.zeros_like(t), jnp.zeros_like(t))
+    settled = solve(held[0], (term,), prior, held[2], whitening, max_rounds, tolerance)
     settled = jax.lax.stop_gradient(settled)
+    (term,) = settled.terms
 
     def gradient(t: Array) -> Array:
-        return cost_gradient(coordinates, data, t, settled.uv)
+        return cost_gradient(coordinates, data, t, term.uv)
 
     def tangent_solve(linear, rhs: Array) -> Array:
         return jnp.linalg.solve(jax.vmap(linear, out_axes=1)(jnp.eye(len(rhs))), rhs)

@@ -4,26 +4,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from petalfit.fitting.coordinates import Coordinates
-from petalfit.residuals import edge_score, frame, pull_back
-
-
-class Data(NamedTuple):
-    """A cloud as the core sees it, padded to a fixed size with zero weights.
-
-    Attributes:
-        points: Shape (n, 3), in the model's frame.
-        weights: How many observations each point counts for; zero for padding.
-        sigma: Standard deviation of the noise, in the unit of length; NaN to estimate it.
-    """
-
-    points: Float[Array, "n 3"]
-    weights: Float[Array, " n"]
-    sigma: Float[Array, ""]
+from petalfit.residuals import Data, edge_score, estimate_sigma, frame, pull_back
 
 
 class Survey(NamedTuple):
@@ -38,8 +23,6 @@ class Survey(NamedTuple):
         sigma: Noise, given or estimated from the distances.
         information: Fisher information of t at this noise: normal distances count by their Jacobian,
             points near the edge by the square of their score.
-        whitening: W with W Wᵀ = σ⁻²(information + 1)⁻¹: the columns of σW are one standard error each.
-            The identity is the information of the typical ranges.
     """
 
     position: Float[Array, "n 3"]
@@ -49,7 +32,6 @@ class Survey(NamedTuple):
     beyond: Float[Array, "n 2"]
     sigma: Float[Array, ""]
     information: Float[Array, "p p"]
-    whitening: Float[Array, "p p"]
 
 
 def survey(
@@ -65,8 +47,6 @@ def survey(
     slopes = coordinates.gather(pulled) * coordinates.slopes(t)
     rows = slopes * (jnp.sqrt(jnp.tile(data.weights, 2)) / sigma)[:, None]
     information = rows.T @ rows
-    root = jnp.linalg.cholesky(information + jnp.eye(len(t)))
-    inverse = jax.scipy.linalg.solve_triangular(root, jnp.eye(len(t)), lower=True)
     return Survey(
         here.position,
         here.normal,
@@ -75,14 +55,4 @@ def survey(
         beyond,
         sigma,
         information,
-        inverse.T / sigma,
     )
-
-
-def estimate_sigma(data: Data, distance: Float[Array, " n"], free: int) -> Float[Array, ""]:
-    """√(Σ w d² / (Σ w − p)), or the noise that was given; never below 1e-9 of the extent."""
-    count = jnp.sum(data.weights)
-    variance = jnp.sum(data.weights * distance**2) / jnp.maximum(count - free, 1)
-    extent = jnp.max(jnp.abs(data.points))
-    estimated = jnp.maximum(jnp.sqrt(variance), 1e-9 * extent)
-    return jnp.where(jnp.isnan(data.sigma), estimated, data.sigma)

@@ -3,6 +3,7 @@
 from petalfit.residuals.contact import Frame as Frame
 from petalfit.residuals.contact import frame as frame
 from petalfit.residuals.contact import pull_back as pull_back
+from petalfit.residuals.contour_distance import ContourDistance as ContourDistance
 from petalfit.residuals.curvature_bias import perturbation as perturbation
 from petalfit.residuals.edge import EDGE_NODES as EDGE_NODES
 from petalfit.residuals.edge import edge_nodes as edge_nodes
@@ -13,3 +14,9 @@ from petalfit.residuals.foot_point import half_squared_distance as half_squared_
 from petalfit.residuals.foot_point import nearest_nodes as nearest_nodes
 from petalfit.residuals.foot_point import refine_foot_points as refine_foot_points
 from petalfit.residuals.foot_point import slide_foot_points as slide_foot_points
+from petalfit.residuals.tangent_distance import Data as Data
+from petalfit.residuals.tangent_distance import TangentDistance as TangentDistance
+from petalfit.residuals.tangent_distance import estimate_sigma as estimate_sigma
+from petalfit.residuals.term import AbstractFrozen as AbstractFrozen
+from petalfit.residuals.term import AbstractTerm as AbstractTerm
+from petalfit.residuals.term import Pull as Pull

@@ -1,4 +1,4 @@
-"""The compiled programs of sampling and tessellation."""
+"""The compiled programs of sampling, tessellation and outlines."""
 
 from __future__ import annotations
 
@@ -12,9 +12,14 @@ def _position_and_normal(surface: AbstractSurface, u: Array, v: Array) -> tuple[
     return surface(u, v), surface.normal(u, v)
 
 
+def _grid_positions(surface: AbstractSurface, u: Array, v: Array) -> Array:
+    return surface(u[:, None], v[None, :])
+
+
 def _area_element(surface: AbstractSurface, u: Array, v: Array) -> Array:
     return surface.area_element(u, v)
 
 
 position_and_normal = Program(_position_and_normal)
+grid_positions = Program(_grid_positions)
 area_element = Program(_area_element)

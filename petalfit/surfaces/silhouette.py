@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import jax
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from petalfit.observations import Camera, Silhouette, TargetError
+from petalfit.surfaces.outline import rims_and_folds, sheets
+from petalfit.surfaces.programs import grid_positions
 from petalfit.surfaces.surface import AbstractSurface
-from petalfit.surfaces.tessellation import tessellate
 
 RESOLUTION = (257, 129)
 
@@ -27,8 +29,23 @@ def silhouette(
     Raises:
         TargetError: The camera looks away from the surface or stands in it, or sees too little of it.
     """
-    mesh = tessellate(surface, resolution)
-    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    return Silhouette(coverage(outline_rings(surface, camera, resolution), camera.shape), camera)
+
+
+def outline_rings(
+    surface: AbstractSurface, camera: Camera, resolution: tuple[int, int] = RESOLUTION
+) -> list[np.ndarray]:
+    """The boundary of all that is covered by the projected mesh of a surface, in pixels.
+
+    Returns:
+        Closed rings of shape (k, 2): outer ones in one sense of rotation, holes in the other.
+
+    Raises:
+        TargetError: The camera looks away from the surface or stands in it.
+    """
+    u, v = (np.linspace(*side, n) for side, n in zip(surface.domain, resolution, strict=True))
+    with jax.enable_x64(True):
+        vertices = np.asarray(grid_positions(surface, u, v))
     if not camera.is_orthographic and camera.depth(vertices).min() <= 0:
         behind = np.mean(camera.depth(vertices) <= 0)
         where = "looks away from the surface" if behind == 1 else "stands in or beside the surface"
@@ -36,43 +53,24 @@ def silhouette(
             f"the camera {where}: {100 * behind:.0f} % of it lie behind the eye (z ≤ 0 in the "
             "camera's frame); OpenCV cameras look along +z."
         )
-    rings = outline(camera.project(vertices), faces)
-    return Silhouette(coverage(rings, camera.shape), camera)
+    return rings(camera.project(vertices))
 
 
-def outline(xy: Float[np.ndarray, "n 2"], faces: Int[np.ndarray, "m 3"]) -> list[np.ndarray]:
-    """The boundary of the union of projected triangles.
+def rings(grid: Float[np.ndarray, "n m 2"]) -> list[np.ndarray]:
+    """The boundary of the union of a projected grid's triangles; see `outline_rings`.
 
-    It runs along edges of the mesh where the mesh ends or folds over. These cut the plane into cells,
-    each of which is covered wholly or not at all.
-
-    Returns:
-        Closed rings of shape (k, 2): outer ones in one sense of rotation, holes in the other.
+    Rims and folds cut the plane into cells, each of which is covered wholly or not at all.
     """
     import shapely
 
-    lines = np.asarray(shapely.linestrings(xy[_rims_and_folds(xy, faces)]))
+    edges, xy = rims_and_folds(grid), grid.reshape(-1, 2)
+    lines = np.asarray(shapely.linestrings(xy[np.stack([edges.start, edges.end], axis=-1)]))
     lines = np.asarray(shapely.get_parts(shapely.node(shapely.multilinestrings(lines))))
     cells = shapely.get_parts(shapely.polygonize(lines))
-    triangles = np.asarray(shapely.polygons(xy[faces[:, [0, 1, 2, 0]]]))
-    inside = shapely.point_on_surface(cells)
-    covered, _ = shapely.STRtree(triangles).query(inside, predicate="intersects")
-    covered = np.unique(covered)
+    inside = shapely.get_coordinates(shapely.point_on_surface(cells))
+    covered = sheets(inside, xy, edges) > 0
     union = shapely.orient_polygons(shapely.get_parts(shapely.coverage_union_all(cells[covered])))
     return [shapely.get_coordinates(ring) for ring in shapely.get_rings(union)]
-
-
-def _rims_and_folds(xy: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Edges (k, 2) of one face only, or of two faces that are seen from different sides."""
-    a, b, c = np.moveaxis(xy[faces], 1, 0)
-    side = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0] >= 0
-    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-    # As single numbers they are sorted ten times faster than as rows.
-    numbers = edges[:, 0] * len(xy) + edges[:, 1]
-    numbers, which, count = np.unique(numbers, return_inverse=True, return_counts=True)
-    front = np.bincount(which, weights=np.tile(side, 3))
-    kept = numbers[(count == 1) | ((front > 0) & (front < count))]
-    return np.stack(np.divmod(kept, len(xy)), axis=-1)
 
 
 def coverage(rings: list[np.ndarray], shape: tuple[int, int]) -> Float[np.ndarray, "h w"]:

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 import petalfit as pf
-from petalfit.compilation import Program
+from petalfit.compilation import Program, bucket
 from petalfit.fitting import cloud as cloud_module
 from petalfit.fitting import programs
-from petalfit.fitting.cloud import bucket
 from petalfit.fitting.coordinates import Coordinates
 from petalfit.fitting.peony_start import rib_periodogram
 

@@ -10,8 +10,7 @@ import pytest
 import petalfit as pf
 from petalfit.fitting.coordinates import Coordinates
 from petalfit.fitting.implicit import solve_differentiably
-from petalfit.fitting.survey import Data
-from petalfit.residuals import nearest_nodes, refine_foot_points
+from petalfit.residuals import Data, nearest_nodes, refine_foot_points
 
 
 def declared_length(default, meaning):

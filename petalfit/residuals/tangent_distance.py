@@ -1,0 +1,127 @@
+"""Clouds: normal distances from foot points, and distances beyond the edges."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from petalfit.residuals.contact import Frame, frame
+from petalfit.residuals.edge import (
+    EDGE_NODES,
+    edge_nodes,
+    edge_pull,
+    edge_residual,
+    edge_score,
+)
+from petalfit.residuals.foot_point import slide_foot_points
+from petalfit.residuals.term import AbstractFrozen, AbstractTerm, Pull
+from petalfit.surfaces import AbstractSurface
+
+# Edges are looked at for the nearest quarter of the points, but never for fewer than this.
+_FEW = 256
+
+
+class Data(NamedTuple):
+    """A cloud as the core sees it, padded to a fixed size with zero weights.
+
+    Attributes:
+        points: Shape (n, 3), in the model's frame.
+        weights: How many observations each point counts for; zero for padding.
+        sigma: Standard deviation of the noise, in the unit of length; NaN to estimate it.
+    """
+
+    points: Float[Array, "n 3"]
+    weights: Float[Array, " n"]
+    sigma: Float[Array, ""]
+
+
+def estimate_sigma(data: Data, distance: Float[Array, " n"], free: int) -> Float[Array, ""]:
+    """√(Σ w d² / (Σ w − p)), or the noise that was given; never below 1e-9 of the extent."""
+    count = jnp.sum(data.weights)
+    variance = jnp.sum(data.weights * distance**2) / jnp.maximum(count - free, 1)
+    extent = jnp.max(jnp.abs(data.points))
+    estimated = jnp.maximum(jnp.sqrt(variance), 1e-9 * extent)
+    return jnp.where(jnp.isnan(data.sigma), estimated, data.sigma)
+
+
+class TangentDistance(AbstractTerm):
+    """Σ d²/2σ² − Σ log Φ(−e/σ) + Σ log Area of a cloud.
+
+    d are normal distances, e the distances beyond the edges (see `petalfit.residuals.edge`). The
+    distance does not change when its foot point slides, so holding the foot points costs nothing.
+
+    Attributes:
+        data: The cloud.
+        uv: Foot points.
+        sigma: Noise, given or estimated from the distances.
+    """
+
+    data: Data
+    uv: Float[Array, "n 2"]
+    sigma: Float[Array, ""]
+
+    def freeze(
+        self, surface: AbstractSurface, free: int
+    ) -> tuple[TangentDistance, FrozenDistance, Pull]:
+        data, uv = self.data, slide_foot_points(surface, self.data.points, self.uv, 2)
+        nodes = jnp.asarray(edge_nodes(surface.domain), uv.dtype)
+        both = frame(surface, jnp.concatenate([uv, nodes]))
+        here, edge = (Frame(*(x[s] for x in both)) for s in (np.s_[: len(uv)], np.s_[len(uv) :]))
+        sigma = estimate_sigma(data, here.distance(data.points), free)
+        beyond = jnp.max(here.beyond(data.points), axis=-1)
+        beyond = jnp.where(data.weights > 0, beyond, -jnp.inf)
+        _, near = jax.lax.top_k(beyond, max(len(uv) // 4, min(len(uv), _FEW)))
+        pull = edge_pull(surface.domain, edge, uv, data.weights)
+        return (
+            TangentDistance(data=data, uv=uv, sigma=sigma),
+            FrozenDistance(data, uv, sigma, here, near),
+            Pull(nodes[:EDGE_NODES], pull),
+        )
+
+
+class FrozenDistance(AbstractFrozen):
+    """Distances to the frames at the foot points.
+
+    Attributes:
+        data: The cloud.
+        uv: Foot points.
+        sigma: Noise.
+        frame: The surface's frames at the foot points.
+        near: Numbers of the points that may lie near an edge.
+    """
+
+    data: Data
+    uv: Float[Array, "n 2"]
+    sigma: Float[Array, ""]
+    frame: Frame
+    near: Int[Array, " m"]
+
+    def residual(self, surface: AbstractSurface) -> Float[Array, " n_and_m"]:
+        distance, beyond = self._decompose(surface)
+        edge = jnp.linalg.norm(edge_residual(beyond), axis=-1)
+        root = jnp.sqrt(self.data.weights)
+        return jnp.concatenate([root * distance, root[self.near] * edge])
+
+    def slopes(
+        self, surface: AbstractSurface
+    ) -> tuple[Float[Array, "n_and_m 2"], Float[Array, "n_and_m 3"]]:
+        _, beyond = self._decompose(surface)
+        residual, score = edge_residual(beyond), edge_score(beyond)
+        norm = jnp.linalg.norm(residual, axis=-1, keepdims=True)
+        slope = jnp.where(norm > 0, score / jnp.where(norm > 0, norm, 1.0), 0.0)
+        edge = jnp.sum(slope[..., None] * self.frame.conormals[self.near], axis=1)
+        rows = jnp.concatenate([jnp.arange(len(self.uv)), self.near])
+        root = jnp.sqrt(self.data.weights[rows]) / self.sigma
+        return self.uv[rows], -jnp.concatenate([self.frame.normal, edge]) * root[:, None]
+
+    def _decompose(self, surface: AbstractSurface) -> tuple[Array, Array]:
+        """Distances, and edge distances of the near points, in units of σ."""
+        offset = self.data.points - surface.position(self.uv[:, 0], self.uv[:, 1])
+        distance = jnp.sum(self.frame.normal * offset, axis=-1)
+        conormals, left = self.frame.conormals[self.near], self.frame.left[self.near]
+        beyond = jnp.sum(conormals * offset[self.near, None, :], axis=-1) - left
+        return distance / self.sigma, beyond / self.sigma

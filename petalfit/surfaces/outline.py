@@ -1,0 +1,203 @@
+"""The outline of a surface as a camera sees it: rims and folds, where nothing of the surface lies beyond.
+
+A rim is an edge of the domain; a fold is where the line of sight touches the surface. Crossing a rim
+outwards, one sheet less is seen; crossing a fold, two less. A place of either kind is on the outline if
+just outside of it no sheet is left. Sheets are counted by winding numbers: those of the triangles of a
+mesh, each taken as positive, add up to those of its rims and folds alone, since all other edges cancel.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from petalfit.compilation import Program
+from petalfit.observations import Camera
+from petalfit.surfaces.programs import grid_positions
+from petalfit.surfaces.surface import AbstractSurface, position_and_tangents
+
+PLACES = 1536  # always as many, so that one program serves all
+_OUTSIDE = 1e-3  # pixels
+_MOST = 4_000_000  # pairs of places and edges that are looked at in one go
+
+
+class Edges(NamedTuple):
+    """Rims and folds of a mesh on a regular grid, as it is seen in an image.
+
+    Attributes:
+        start: Vertices where they begin, as numbers of the flattened grid, shape (k,).
+        end: Where they end; the surface lies on the left in the sense in which x × y is positive.
+        sheets: How many sheets end there: 1 for a rim, 2 for a fold.
+        along: Direction in (u, v) for rims; zero for folds; shape (k, 2).
+    """
+
+    start: Int[np.ndarray, " k"]
+    end: Int[np.ndarray, " k"]
+    sheets: Int[np.ndarray, " k"]
+    along: Float[np.ndarray, "k 2"]
+
+
+class Outline(NamedTuple):
+    """Places on the outline at even distances in the image; `PLACES` of them.
+
+    Attributes:
+        uv: Where on the surface, shape (n, 2).
+        place: Where in the image, in pixels, shape (n, 2).
+        normal: Unit normals in the image, pointing away from the surface, shape (n, 2).
+        length: How much of the outline each stands for, in pixels, shape (n,).
+    """
+
+    uv: Float[np.ndarray, "n 2"]
+    place: Float[np.ndarray, "n 2"]
+    normal: Float[np.ndarray, "n 2"]
+    length: Float[np.ndarray, " n"]
+
+
+def outline(
+    surface: AbstractSurface, camera: Camera, resolution: tuple[int, int] = (97, 65)
+) -> Outline:
+    """The outline of a surface. Call it inside `jax.enable_x64(True)`.
+
+    What is on it is decided on a mesh; its places lie on the surface's own rims and folds.
+
+    Args:
+        surface: Any surface, in front of the camera.
+        camera: In the surface's frame and unit.
+        resolution: Vertices of the mesh along u and along v.
+    """
+    u, v = (np.linspace(*side, n) for side, n in zip(surface.domain, resolution, strict=True))
+    grid = camera.project(np.asarray(grid_positions(surface, u, v)))
+    edges, xy = rims_and_folds(grid), grid.reshape(-1, 2)
+    across = xy[edges.end] - xy[edges.start]
+    length = np.hypot(*across.T)
+    normal = np.stack([across[:, 1], -across[:, 0]], axis=-1) / np.maximum(length, 1e-12)[:, None]
+    outside = 0.5 * (xy[edges.start] + xy[edges.end]) + _OUTSIDE * normal
+    seen = (sheets(outside, xy, edges) <= 0) & (length > 1e-9)
+    edges = Edges(*(field[seen] for field in edges))
+    length, normal = length[seen], normal[seen]
+    # Even distances along all edges, one after the other.
+    run = np.cumsum(length)
+    along = (np.arange(PLACES) + 0.5) * run[-1] / PLACES
+    which = np.searchsorted(run, along)
+    share = 1.0 - (run[which] - along) / length[which]
+    uv = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
+    start, end = uv[edges.start[which]], uv[edges.end[which]]
+    uv, place, found = (
+        np.asarray(x)
+        for x in _places(
+            surface, camera.matrix, start + share[:, None] * (end - start), edges.along[which]
+        )
+    )
+    sense = np.sum(found * normal[which], axis=-1)
+    return Outline(
+        uv,
+        place,
+        found * np.where(sense < 0, -1.0, 1.0)[:, None],
+        np.full(PLACES, run[-1] / PLACES),
+    )
+
+
+def rims_and_folds(grid: Float[np.ndarray, "n m 2"]) -> Edges:
+    """The edges of a projected grid that have one triangle, or two that are seen from different sides.
+
+    Every cell is cut along its diagonal from the vertex (i, j) to (i + 1, j + 1).
+    """
+    number = np.arange(grid.shape[0] * grid.shape[1]).reshape(grid.shape[:2])
+    a, b, c = (x - grid[:-1, :-1] for x in (grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]))
+    lower, upper = _cross(a, b) >= 0, _cross(b, c) >= 0
+    # For each kind: the lower and the upper of two neighbouring vertices, whether both triangles
+    # differ, and whether the surface lies on the left on the way from the one to the other.
+    folds = [
+        (number[:-1, :-1], number[1:, 1:], lower != upper, upper),
+        (number[:-1, 1:-1], number[1:, 1:-1], lower[:, 1:] != upper[:, :-1], lower[:, 1:]),
+        (number[1:-1, :-1], number[1:-1, 1:], lower[:-1] != upper[1:], lower[:-1]),
+    ]
+    rims = [
+        (number[:-1, 0], number[1:, 0], lower[:, 0], (1.0, 0.0)),
+        (number[:-1, -1], number[1:, -1], ~upper[:, -1], (1.0, 0.0)),
+        (number[0, :-1], number[0, 1:], ~upper[0], (0.0, 1.0)),
+        (number[-1, :-1], number[-1, 1:], lower[-1], (0.0, 1.0)),
+    ]
+    pieces = [(x[kept], y[kept], left[kept], 2, (0.0, 0.0)) for x, y, kept, left in folds]
+    pieces += [(x, y, left, 1, along) for x, y, left, along in rims]
+    return Edges(
+        np.concatenate([np.where(left, x, y) for x, y, left, *_ in pieces]),
+        np.concatenate([np.where(left, y, x) for x, y, left, *_ in pieces]),
+        np.concatenate([np.full(len(x), count) for x, *_, count, _ in pieces]),
+        np.concatenate([np.tile(along, (len(x), 1)) for x, *_, along in pieces]),
+    )
+
+
+def sheets(
+    places: Float[np.ndarray, "n 2"], xy: Float[np.ndarray, "m 2"], edges: Edges
+) -> Int[np.ndarray, " n"]:
+    """How many sheets of the mesh are seen at places of the image, which lie on no edge."""
+    (start_x, start_y), (end_x, end_y) = xy[edges.start].T, xy[edges.end].T
+    rises = end_y > start_y
+    count = np.where(rises, 1.0, -1.0) * edges.sheets
+    low, high = np.minimum(start_y, end_y), np.maximum(start_y, end_y)
+    slope = (end_x - start_x) / np.where(end_y == start_y, 1.0, end_y - start_y)
+    found = np.empty(len(places), int)
+    step = max(1, _MOST // max(1, len(count)))
+    for first in range(0, len(places), step):
+        x, y = places[first : first + step, :1], places[first : first + step, 1:]
+        # A ray to the right of the place meets the edge.
+        met = (low <= y) & (y < high) & (start_x + (y - start_y) * slope > x)
+        found[first : first + step] = np.rint(met @ count)
+    return found
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+
+
+def image_and_tangents(
+    surface: AbstractSurface, matrix: Float[Array, "3 4"], uv: Float[Array, "n 2"]
+) -> tuple[Float[Array, "n 2"], Float[Array, "2 n 2"]]:
+    """Places in the image, and their derivatives by u and by v stacked in front."""
+    position, tangents = position_and_tangents(surface, uv[:, 0], uv[:, 1])
+    seen, moved = position @ matrix[:, :3].T + matrix[:, 3], tangents @ matrix[:, :3].T
+    place = seen[:, :2] / seen[:, 2:]
+    return place, (moved[..., :2] - place * moved[..., 2:]) / seen[:, 2:]
+
+
+def _outline_places(
+    surface: AbstractSurface,
+    matrix: Float[Array, "3 4"],
+    uv: Float[Array, "n 2"],
+    along: Float[Array, "n 2"],
+) -> tuple[Float[Array, "n 2"], Float[Array, "n 2"], Float[Array, "n 2"]]:
+    """Starts on folds moved onto them; places in the image, and normals of either sign."""
+    low, high = (jnp.asarray(side, uv.dtype) for side in zip(*surface.domain, strict=True))
+    on_fold: Bool[Array, "n 1"] = jnp.all(along == 0, axis=-1, keepdims=True)
+
+    def facing(uv: Array) -> Array:
+        _, tangents = image_and_tangents(surface, matrix, uv)
+        return tangents[0, :, 0] * tangents[1, :, 1] - tangents[0, :, 1] * tangents[1, :, 0]
+
+    def newton(_: Array, uv: Array) -> Array:
+        def by(direction: Array) -> tuple[Array, Array]:
+            return jax.jvp(facing, (uv,), (jnp.broadcast_to(direction, uv.shape),))
+
+        value, slope = jax.vmap(by, out_axes=(None, 1))(jnp.eye(2, dtype=uv.dtype))
+        step = -value[:, None] * slope / (jnp.sum(slope**2, axis=-1, keepdims=True) + 1e-300)
+        step = jnp.clip(step, -_LEAP * (high - low), _LEAP * (high - low))
+        return jnp.where(on_fold, jnp.clip(uv + step, low, high), uv)
+
+    uv = jax.lax.fori_loop(0, 3, newton, uv)
+    place, tangents = image_and_tangents(surface, matrix, uv)
+    # On a fold both tangents are seen along it: the longer one tells the direction best.
+    squares = jnp.sum(tangents**2, axis=-1)
+    longer = jnp.where((squares[0] > squares[1])[:, None], tangents[0], tangents[1])
+    rim = along[:, :1] * tangents[0] + along[:, 1:] * tangents[1]
+    tangent = jnp.where(on_fold, longer, rim)
+    tangent = tangent / (jnp.linalg.norm(tangent, axis=-1, keepdims=True) + 1e-300)
+    return uv, place, jnp.stack([tangent[:, 1], -tangent[:, 0]], axis=-1)
+
+
+_LEAP = 0.02  # of the domain, the most that a fold is away from the mesh's
+_places = Program(_outline_places)
