@@ -6,7 +6,7 @@ import functools
 import numpy as np
 
 from petalfit import FitResult, PeonyPetal, PointCloud, Pose, parameters
-from petalfit.fitting import Start
+from petalfit.fitting import Agreement, Start
 
 HOSTILE = '<script>alert("1")</script> & <img src="http://example.com/x.png">'
 NOISE = 0.05
@@ -35,17 +35,15 @@ def known_pose() -> FitResult:
         identifiable={name: name != "rib_frequency" for name in names},
         names=names,
         covariance=covariance,
-        noise=NOISE,
-        rms=float(np.sqrt(np.average(distances**2, weights=weights))),
-        distances=distances,
-        weights=weights,
+        agreements=(
+            Agreement(PointCloud(cloud.points, weights=weights), distances, weights, NOISE),
+        ),
         converged=True,
         status="converged",
         message="converged after 4 rounds",
         warnings=(),
         steps=4,
         starts=(Start("rib_frequency 20.02", free, 0.0501, 0.0), Start("other", free, 0.06, 12.3)),
-        target=PointCloud(cloud.points, weights=weights),
     )
 
 
@@ -58,7 +56,8 @@ def posed() -> FitResult:
         [[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]]
     )
     pose = Pose(turn, np.array([100.0, -20.0, 3.0]), 2.5)
-    points = pose.scale * plain.target.points @ turn.T + pose.translation
+    (part,) = plain.agreements
+    points = pose.scale * part.target.points @ turn.T + pose.translation
     warnings = (
         "rib_frequency is not determined by this target",
         "a_x ended at the bound of its range (1, 100)",
@@ -68,8 +67,17 @@ def posed() -> FitResult:
     return dataclasses.replace(
         plain,
         pose=pose,
-        target=PointCloud(points, weights=plain.weights),
+        agreements=(dataclasses.replace(part, target=PointCloud(points, weights=part.weights)),),
         warnings=warnings,
         message="; ".join(["converged after 4 rounds", *warnings]),
         starts=(dataclasses.replace(plain.starts[0], label=HOSTILE), *plain.starts[1:]),
     )
+
+
+def changed(result: FitResult, **changes) -> FitResult:
+    """A result with other fields, those of its only target among them."""
+    (part,) = result.agreements
+    fields = {field.name for field in dataclasses.fields(Agreement)}
+    of_part = {name: value for name, value in changes.items() if name in fields}
+    rest = {name: value for name, value in changes.items() if name not in fields}
+    return dataclasses.replace(result, agreements=(dataclasses.replace(part, **of_part),), **rest)

@@ -84,8 +84,6 @@ def fit_table(result: "FitResult", truth: dict[str, float] | None = None) -> Tab
     Returns:
         A table, a row for each parameter of the model.
     """
-    from petalfit.components import parameters
-
     table = Table(header_style="bold")
     # Folded if need be: a number that is cut off is another number.
     table.add_column("parameter", overflow="fold")
@@ -93,7 +91,7 @@ def fit_table(result: "FitResult", truth: dict[str, float] | None = None) -> Tab
     for heading in numbers:
         table.add_column(heading, justify="right", overflow="fold")
     table.add_column("unit", overflow="fold")
-    for name, parameter in parameters(result.model).items():
+    for name, parameter in result.declared.items():
         value = result.values[name]
         error = result.stderr.get(name, math.inf)
         shown, shown_error = with_error(value, error)
@@ -119,11 +117,21 @@ def summarise(result: "FitResult", noise: float | None) -> str:
         result: what was fitted.
         noise: the noise that the user gave, if any.
     """
-    origin = "estimated" if noise is None else "given"
-    return (
-        f"{len(result.target)} points, rms distance {result.rms:.3g}, noise {result.noise:.3g} "
-        f"({origin}); {outcome(result)}"
-    )
+    from petalfit.observations import PointCloud
+
+    parts = []
+    for part in result.agreements:
+        given = isinstance(part.target, PointCloud) and noise is not None
+        if isinstance(part.target, PointCloud):
+            what, unit = f"{len(part.target)} points", ""
+        else:
+            rows, columns = part.target.mask.shape
+            what, unit = f"mask of {columns} × {rows} pixels", " px"
+        parts.append(
+            f"{what}, rms distance {part.rms:.3g}{unit}, noise {part.noise:.3g}{unit} "
+            f"({'given' if given else 'estimated'})"
+        )
+    return "; ".join([*parts, outcome(result)])
 
 
 def outcome(result: "FitResult") -> str:

@@ -40,9 +40,14 @@ def parameter(default: float, **declaration: Any) -> Any:
 
 
 def parameters(model: AbstractSurface | type[AbstractSurface]) -> dict[str, Parameter]:
-    """The declared parameters of a component, by field name, in their order of declaration."""
-    return {
-        field.name: field.metadata[_KEY]
-        for field in dataclasses.fields(model)
-        if _KEY in field.metadata
-    }
+    """The declared parameters of a component, by field name, in their order of declaration.
+
+    Those of a component within an instance come at its field's place.
+    """
+    found = {}
+    for field in dataclasses.fields(model):
+        if _KEY in field.metadata:
+            found[field.name] = field.metadata[_KEY]
+        elif isinstance(part := getattr(model, field.name, None), AbstractSurface):
+            found |= parameters(part)
+    return found

@@ -2,6 +2,7 @@
 
 from petalfit.fitting.fit import fit as fit
 from petalfit.fitting.fit import fit_petal as fit_petal
+from petalfit.fitting.result import Agreement as Agreement
 from petalfit.fitting.result import FitError as FitError
 from petalfit.fitting.result import FitResult as FitResult
 from petalfit.fitting.result import Pose as Pose

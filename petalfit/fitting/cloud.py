@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,9 +12,20 @@ from jaxtyping import Array, Float
 from petalfit.compilation import bucket, pad_to
 from petalfit.components import PeonyPetal
 from petalfit.fitting import peony_start, programs
-from petalfit.fitting.coordinates import Coordinates
-from petalfit.fitting.peony_start import HEIGHTS, RIBS, with_values
-from petalfit.fitting.rounds import AbstractObserved, Polished, minimise
+from petalfit.fitting.coordinates import Coordinates, with_values
+from petalfit.fitting.determined import stay_at_the_start
+from petalfit.fitting.peony_start import HEIGHTS, RIBS
+from petalfit.fitting.rounds import (
+    AbstractObserved,
+    Account,
+    Polished,
+    Seen,
+    Settled,
+    finish,
+    minimise,
+)
+from petalfit.fitting.solve import Prior
+from petalfit.observations import PointCloud
 from petalfit.residuals import AbstractTerm, Data, TangentDistance, perturbation
 from petalfit.surfaces import AbstractSurface
 
@@ -27,34 +37,6 @@ _BIAS_POINTS = 6144
 _CLEAR_LEAD = 50.0
 
 Progress = Callable[[str], None]
-
-
-class Settled(NamedTuple):
-    """One start, followed to its end.
-
-    Attributes:
-        label: What distinguishes the start.
-        model: The petal, with the bias that curvature and noise cause removed.
-        information: Fisher information of its free parameters.
-        distance: Signed normal distances, shape (n,).
-        beyond: Distance beyond the nearer edges, positive outside, shape (n,).
-        uv: Foot points, shape (n, 2).
-        sigma: Noise, given or estimated.
-        rounds: How many rounds the solver made.
-        moved: By how much the last ones moved, in standard errors, the largest over the directions.
-        chi2: Comparable between starts: n log of the mean squared distance.
-    """
-
-    label: str
-    model: PeonyPetal
-    information: Float[np.ndarray, "p p"]
-    distance: Float[np.ndarray, " n"]
-    beyond: Float[np.ndarray, " n"]
-    uv: Float[np.ndarray, "n 2"]
-    sigma: float
-    rounds: int
-    moved: float
-    chi2: float
 
 
 def pad(points: np.ndarray, weights: np.ndarray, noise: float | None) -> Data:
@@ -69,9 +51,42 @@ def pad(points: np.ndarray, weights: np.ndarray, noise: float | None) -> Data:
 
 @dataclasses.dataclass(frozen=True)
 class ObservedCloud(AbstractObserved):
-    """A cloud, as the rounds need it."""
+    """A cloud, as the rounds need it.
+
+    Attributes:
+        data: The cloud.
+        sample: A part of it that is large enough to measure the bias on; None for all of it.
+    """
 
     data: Data
+    sample: Data | None = None
+
+    @classmethod
+    def of(
+        cls, points: np.ndarray, weights: np.ndarray, noise: float | None, order: np.ndarray
+    ) -> ObservedCloud:
+        """A cloud with a part of it, the first ones in `order`, that is enough to measure a bias on."""
+        some = order[:_BIAS_POINTS]
+        sample = None if len(order) <= _BIAS_POINTS else pad(points[some], weights[some], noise)
+        return cls(pad(points, weights, noise), sample)
+
+    @classmethod
+    def used(
+        cls, cloud: PointCloud, noise: float | None, rng: np.random.Generator
+    ) -> ObservedCloud:
+        """The points of a cloud that have a weight."""
+        weights = np.ones(len(cloud)) if cloud.weights is None else cloud.weights
+        some = weights > 0
+        order = rng.permutation(np.count_nonzero(some))
+        return cls.of(cloud.points[some], weights[some], noise, order)
+
+    def misfit(self, model: AbstractSurface) -> float:
+        """Mean logarithm of 1 + d², with d in hundredths of the cloud's extent."""
+        term = self.look(model, None)
+        distance = programs.distances(model, self.data.points, term.uv)
+        extent = 0.01 * np.linalg.norm(np.ptp(np.asarray(self.data.points), axis=0))
+        squares = (np.asarray(distance) / extent) ** 2
+        return float(np.average(np.log1p(squares), weights=np.asarray(self.data.weights)))
 
     def at(self, uv: Float[Array, "n 2"]) -> TangentDistance:
         """Its term with these foot points and the noise still to be estimated."""
@@ -92,6 +107,43 @@ class ObservedCloud(AbstractObserved):
         assert isinstance(term, TangentDistance)
         seen = programs.survey(coordinates, self.data, t, term.uv)
         return np.asarray(seen.information), float(seen.sigma)
+
+    def account(self, coordinates: Coordinates, t: np.ndarray, term: AbstractTerm) -> Account:
+        """With the score that noise and curvature cause; see `petalfit.residuals.curvature_bias`."""
+        assert isinstance(term, TangentDistance)
+        data, sample, model = self.data, self.sample or self.data, coordinates.model(t)
+        uv = programs.refine(model, data.points, term.uv, 1)
+        seen = programs.survey(coordinates, data, t, uv)
+        places, position = uv, np.asarray(seen.position)
+        if sample is not data:
+            places = plane_feet(model, sample.points)
+            places = programs.refine(model, sample.points, places, 3)
+            position = np.asarray(programs.survey(coordinates, sample, t, places).position)
+        noise = float(term.sigma) * perturbation(np.asarray(places))
+        weights = np.asarray(sample.weights)
+        score = np.zeros(len(t))
+        for moved in (position + noise, position - noise):
+            around = sample._replace(points=jnp.asarray(moved))
+            feet = programs.refine(model, moved, places, 3)
+            blurred = programs.survey(coordinates, around, t, feet)
+            score += np.asarray(blurred.slopes).T @ (weights * np.asarray(blurred.distance)) / 2
+        share = np.sum(weights) / np.sum(np.asarray(data.weights))
+        score /= share * float(seen.sigma) ** 2
+        information = np.asarray(seen.information)
+        term = TangentDistance(data=data, uv=uv, sigma=term.sigma)
+        return Account(term, information, score, information)
+
+    def seen(self, coordinates: Coordinates, t: np.ndarray, term: AbstractTerm) -> list[Seen]:
+        assert isinstance(term, TangentDistance)
+        seen = programs.survey(coordinates, self.data, t, term.uv)
+        distance = np.asarray(seen.distance)
+        beyond = np.maximum(np.max(np.asarray(seen.beyond), axis=-1), 0.0)
+        off = np.where(beyond > 0, np.copysign(np.hypot(distance, beyond), distance), distance)
+        weights = np.asarray(self.data.weights)
+        total = float(np.sum(weights))
+        with np.errstate(divide="ignore"):
+            chi2 = total * float(np.log(np.sum(weights * off**2) / total))
+        return [Seen(off, weights, float(term.sigma), "length", chi2, np.asarray(term.uv))]
 
 
 def plane_feet(petal: PeonyPetal, points: Float[Array, "n 3"]) -> Float[Array, "n 2"]:
@@ -131,7 +183,8 @@ def fit_cloud(
         What each start reached, the best first. Call it inside `jax.enable_x64(True)`.
     """
     coordinates = Coordinates.of(template, free)
-    everything, used = points, weights > 0
+    cloud = PointCloud(points, weights=weights)
+    used = weights > 0
     points, weights = points[used], weights[used]
     order = np.random.default_rng(seed).permutation(len(points))
     if from_template:
@@ -143,30 +196,47 @@ def fit_cloud(
         progress(f"polishing from {label}")
         ends.append(_settle(coordinates, label, model, points, weights, order, noise))
     best, *others = sorted(ends, key=lambda end: end.chi2)
-    return [_with_unused(coordinates, best, everything, used), *others]
+
+    def again(
+        model: AbstractSurface, polished: Polished | None, prior: Prior | None
+    ) -> Settled[PeonyPetal]:
+        assert isinstance(model, PeonyPetal)
+        return _settle(coordinates, best.label, model, points, weights, order, noise, prior)
+
+    best = stay_at_the_start(coordinates, best, again)
+    return [with_all_points(coordinates, best, 0, cloud), *others]
 
 
-def _with_unused(
-    coordinates: Coordinates[PeonyPetal], end: Settled, points: np.ndarray, used: np.ndarray
+def with_all_points(
+    coordinates: Coordinates[PeonyPetal], end: Settled, number: int, cloud: PointCloud
 ) -> Settled:
-    """The distances of all points, those without weight included."""
-    if used.all():
-        return end
-    rest = np.flatnonzero(~used)
-    data = pad(points[rest], np.ones(len(rest)), end.sigma)
-    uv = programs.refine(end.model, data.points, plane_feet(end.model, data.points), 3)
-    seen = programs.survey(coordinates, data, coordinates.inverse(end.model), uv)
+    """An end with all points of a cloud as they came, those without weight included.
 
-    def all_points(of_used: np.ndarray, of_rest: np.ndarray) -> np.ndarray:
-        full = np.empty((len(points), *of_used.shape[1:]))
-        full[used], full[rest] = of_used[: len(points) - len(rest)], of_rest[: len(rest)]
-        return full
-
-    return end._replace(
-        distance=all_points(end.distance, np.asarray(seen.distance)),
-        beyond=all_points(end.beyond, np.max(np.asarray(seen.beyond), axis=-1)),
-        uv=all_points(end.uv, np.asarray(uv)),
-    )
+    Args:
+        coordinates: The free parameters.
+        end: Its observation of that number is of the points with weight, padded.
+        number: Of the observation.
+        cloud: The cloud.
+    """
+    seen = end.seen[number]
+    assert seen.uv is not None
+    size = len(cloud)
+    given = np.ones(size) if cloud.weights is None else cloud.weights
+    used = given > 0
+    count = np.count_nonzero(used)
+    distance, uv = np.empty(size), np.empty((size, 2))
+    distance[used], uv[used] = seen.distance[:count], seen.uv[:count]
+    if count < size:
+        data = pad(cloud.points[~used], np.ones(size - count), seen.noise)
+        feet = programs.refine(end.model, data.points, plane_feet(end.model, data.points), 3)
+        others = ObservedCloud(data)
+        t = coordinates.inverse(end.model)
+        (rest,) = others.seen(coordinates, t, others.at(feet))
+        assert rest.uv is not None
+        distance[~used], uv[~used] = rest.distance[: size - count], rest.uv[: size - count]
+    seen = seen._replace(distance=distance, weights=np.array(given, float), uv=uv)
+    parts = (*end.seen[:number], seen, *end.seen[number + 1 :])
+    return dataclasses.replace(end, seen=parts)
 
 
 def _starts(
@@ -191,20 +261,31 @@ def _starts(
             longer = with_values(template, {"b_y": length})
             outline, _ = peony_start.fit_outline(longer, rest, points[some])
             polished = min(
-                polished, _smooth(coordinates, outline, data), key=lambda start: start.sigma
+                polished,
+                _smooth(coordinates, outline, data),
+                key=lambda start: float(start.terms[0].sigma),
             )
     smooth = polished.model
-    held = coordinates.holding(RIBS).around(smooth)
     if not set(RIBS) & set(free):
         yield "the outline", with_values(smooth, {"rib_amplitude": template.rib_amplitude})
         return
     progress("searching the rib frequency")
-    (term,) = polished.terms
-    assert isinstance(term, TangentDistance)
-    uv = programs.refine(smooth, data.points, term.uv, 2)
+    yield from rib_starts(coordinates, smooth, ObservedCloud(data), polished.terms[0])
+
+
+def rib_starts(
+    coordinates: Coordinates[PeonyPetal],
+    smooth: PeonyPetal,
+    cloud: ObservedCloud,
+    term: AbstractTerm | None = None,
+) -> Iterator[tuple[str, PeonyPetal]]:
+    """A petal without ribs with those that a cloud's distances to it speak for."""
+    held = coordinates.holding(RIBS).around(smooth)
+    data, uv = cloud.data, cloud.look(smooth, term).uv
     seen = programs.survey(held, data, held.inverse(smooth), uv)
+    fixed = "rib_frequency" not in coordinates.free
     basins = peony_start.rib_periodogram(
-        None if "rib_frequency" in free else float(template.rib_frequency),
+        float(coordinates.template.rib_frequency) if fixed else None,
         *map(np.asarray, (seen.distance, seen.normal, data.weights, uv)),
     )
     for frequency, amplitude, gain in basins:
@@ -251,84 +332,20 @@ def _settle(
     weights: np.ndarray,
     order: np.ndarray,
     noise: float | None,
-) -> Settled:
+    prior: Prior | None = None,
+) -> Settled[PeonyPetal]:
     """Polish on ever more points: each stage starts within a few standard errors of its end."""
     if len(order) > 2 * _START_POINTS:
         some = order[:_START_POINTS]
         data = pad(points[some], weights[some], noise)
         cloud = ObservedCloud(data)
         start = cloud.at(plane_feet(model, data.points))
-        model = minimise(coordinates, [cloud], model, [start], 10, 0.1).model
-    data = pad(points, weights, noise)
-    some = order[:_BIAS_POINTS]
-    sample = data if len(order) <= _BIAS_POINTS else pad(points[some], weights[some], noise)
-    cloud = ObservedCloud(data)
+        model = minimise(coordinates, [cloud], model, [start], 10, 0.1, prior).model
+    cloud = ObservedCloud.of(points, weights, noise, order)
+    data = cloud.data
     start = cloud.at(plane_feet(model, data.points))
-    polished = minimise(coordinates, [cloud], model, [start], _ROUNDS, _TOLERANCE)
-    return _finish(coordinates, label, polished, data, sample)
-
-
-def _finish(
-    coordinates: Coordinates[PeonyPetal],
-    label: str,
-    polished: Polished,
-    data: Data,
-    sample: Data,
-) -> Settled:
-    """Remove the bias, and look at the result with converged foot points.
-
-    Args:
-        coordinates: The free parameters.
-        label: Of the start.
-        polished: Where the solver stopped.
-        data: The cloud.
-        sample: The cloud, or a part of it that is large enough to measure the bias on.
-    """
-    model, t = polished.model, coordinates.inverse(polished.model)
-    (term,) = polished.terms
-    assert isinstance(term, TangentDistance)
-    uv = programs.refine(model, data.points, term.uv, 1)
-    seen = programs.survey(coordinates, data, t, uv)
-    information = np.asarray(seen.information)
-    places, position = uv, np.asarray(seen.position)
-    if sample is not data:
-        places = plane_feet(model, sample.points)
-        places = programs.refine(model, sample.points, places, 3)
-        position = np.asarray(programs.survey(coordinates, sample, t, places).position)
-    noise = polished.sigma * perturbation(np.asarray(places))
-    weights, sample_weights = np.asarray(data.weights), np.asarray(sample.weights)
-    score = np.zeros(len(t))
-    for moved in (position + noise, position - noise):
-        around = sample._replace(points=jnp.asarray(moved))
-        feet = programs.refine(model, moved, places, 3)
-        blurred = programs.survey(coordinates, around, t, feet)
-        score += np.asarray(blurred.slopes).T @ (sample_weights * np.asarray(blurred.distance)) / 2
-    share = np.sum(sample_weights) / np.sum(weights)
-    score /= share * float(seen.sigma) ** 2
-    values, slopes = coordinates.values(t), coordinates.slopes(t)
-    step = np.linalg.solve(information + np.eye(len(t)), score)
-    # A bias of more than a few standard errors is not a small correction any more.
-    size = np.sqrt(step @ information @ step / len(step))
-    if np.isfinite(size):
-        t = t + step * min(1.0, 3.0 / max(size, 1e-300))
-        # The foot points move only along the surface, which changes no distance to first order.
-        seen = programs.survey(coordinates, data, t, uv)
-        values = coordinates.values(t)
-    distance, beyond = np.asarray(seen.distance), np.max(np.asarray(seen.beyond), axis=-1)
-    residual = weights * (distance**2 + np.maximum(beyond, 0.0) ** 2)
-    total = float(np.sum(weights))
-    return Settled(
-        label,
-        with_values(coordinates.template, dict(zip(coordinates.free, values, strict=True))),
-        information / np.outer(slopes, slopes),
-        distance,
-        beyond,
-        np.asarray(uv),
-        polished.sigma,
-        polished.rounds,
-        polished.moved,
-        total * float(np.log(np.sum(residual) / total)),
-    )
+    polished = minimise(coordinates, [cloud], model, [start], _ROUNDS, _TOLERANCE, prior)
+    return finish(coordinates, label, [cloud], polished, prior)
 
 
 _ROUNDS = 30

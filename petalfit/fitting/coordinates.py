@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Generic, TypeAlias, TypeVar
 
 import equinox as eqx
@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from petalfit.components import parameters
-from petalfit.surfaces import AbstractSurface
+from petalfit.surfaces import AbstractSurface, Scalar
 
 Model = TypeVar("Model", bound=AbstractSurface)
 # NumPy's outside of compiled programs: there jax would compile every little operation.
@@ -58,6 +58,11 @@ class Coordinates(eqx.Module, Generic[Model]):
         active = np.array([float(name not in names) for name in self.free])
         return eqx.tree_at(lambda c: c.active, self, active)
 
+    @property
+    def moving(self) -> tuple[str, ...]:
+        """Names of the free parameters that are not held."""
+        return tuple(name for name, active in zip(self.free, self.active, strict=True) if active)
+
     def values(self, t: Float[Numbers, " p"]) -> Float[Numbers, " p"]:
         """Parameter values at the coordinates t."""
         s = self.scale * t
@@ -69,9 +74,12 @@ class Coordinates(eqx.Module, Generic[Model]):
 
     def inverse(self, model: Model) -> Float[np.ndarray, " p"]:
         """Coordinates of a model's free parameters, which are first moved inside their bounds."""
-        values = np.array([getattr(model, name) for name in self.free])
+        return self.place(np.array([getattr(model, name) for name in self.free], np.float64))
+
+    def place(self, values: Float[np.ndarray, "... p"]) -> Float[np.ndarray, "... p"]:
+        """Coordinates of values, which are first moved inside their bounds."""
         x = np.clip((values - self.middle) / self.half, -0.999, 0.999)
-        return x / np.sqrt(1 - x**2) / self.scale
+        return np.asarray(x / np.sqrt(1 - x**2) / self.scale)
 
     def model(self, t: Float[Numbers, " p"]) -> Model:
         """The model at the coordinates t."""
@@ -82,6 +90,12 @@ class Coordinates(eqx.Module, Generic[Model]):
     def gather(self, tree: AbstractSurface) -> Array:
         """Leaves of the free parameters of a pytree like the model, stacked on the last axis."""
         return jnp.stack([getattr(tree, name) for name in self.free], axis=-1)
+
+
+def with_values(model: Model, values: Mapping[str, Scalar | np.ndarray]) -> Model:
+    """The model with some of its parameters replaced."""
+    new = [np.asarray(value, np.float64) for value in values.values()]
+    return eqx.tree_at(lambda m: [getattr(m, name) for name in values], model, new)
 
 
 def _arrays(model: Model) -> Model:

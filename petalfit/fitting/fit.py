@@ -9,26 +9,17 @@ from collections.abc import Callable, Iterable
 import jax
 import numpy as np
 
-from petalfit.components import Parameter, PeonyPetal, parameters
-from petalfit.fitting.cloud import Settled, fit_cloud
-from petalfit.fitting.result import FitError, FitResult, Pose, Start
-from petalfit.observations import PointCloud, TargetError, as_point_cloud
+from petalfit.components import PeonyPetal, Posed, parameters
+from petalfit.fitting.cloud import fit_cloud
+from petalfit.fitting.joint import fit_joint
+from petalfit.fitting.result import FitError, FitResult
+from petalfit.fitting.summary import summarise
+from petalfit.fitting.targets import as_targets
+from petalfit.observations import Camera, Contour, PointCloud, Silhouette, TargetError
 from petalfit.surfaces import AbstractSurface
 
-# A parameter is determined if its standard error is below this many standard deviations of its
-# typical range, taken as uniform.
-_DETERMINED = 0.3
-# Distances of more than this fraction of the cloud's diagonal are no noise.
-_MISFIT = 0.02
-# And of less, if the model had to be bent to the bounds of its parameters.
-_STRAINED_MISFIT = 0.005
-_GROSS = 6.0  # in units of the noise
-# By chance alone, the best of the some 200 frequencies that ribs could have leads by 2 log 200 in χ².
-_CLEAR_LEAD = 20.0
-_EMPTY = 0.1
-# Where foot points jump between two folds, a fit may flip for ever between two states that are nearly
-# the same: up to this many standard errors apart, that is a warning and no failure.
-_SETTLED = 0.5
+# Of a petal, in the model's unit, for a mask without a camera.
+_TYPICAL_LENGTH = 40.0
 
 
 def fit_petal(
@@ -46,6 +37,7 @@ def fit(
     target: object,
     *,
     pose: str = "known",
+    camera: Camera | None = None,
     free: Iterable[str] | None = None,
     init: AbstractSurface | None = None,
     noise: float | None = None,
@@ -54,17 +46,23 @@ def fit(
     throw: bool = True,
     progress: Callable[[str], None] | None = None,
 ) -> FitResult:
-    """Recover the parameters of a component from a point cloud.
+    """Recover the parameters of a component from point clouds, silhouettes, or both.
 
     Args:
         model: A component; of an instance, parameters that are not free keep their values.
-        target: An (N, 3) array, a `PointCloud`, a trimesh mesh or cloud, or the path of a file.
-        pose: "known": the target is in the model's frame and unit.
+        target: Of a cloud an (N, 3) array, a `PointCloud`, a trimesh mesh or cloud, or the path of a
+            file; of a silhouette a `Silhouette`, an (H, W) mask, or the path of an image; or a list of
+            these, which are fitted jointly, each in units of its own noise.
+        pose: "known": clouds are in the model's frame and unit, and cameras stand in it.
+        camera: What took the masks that are no `Silhouette` with a camera of their own. A single mask
+            may have none: it is then an orthographic front view of unknown scale and position, the
+            lengths are relative, and the result's pose maps the model to pixels.
         free: Names of the parameters to fit; by default all that the model does not declare fixed.
         init: An instance to start from. Without it the fit finds its own start.
-        noise: Standard deviation σ of the target's noise, in its unit; estimated if None.
+        noise: Standard deviation σ of the clouds' noise, in their unit; estimated if None. That of
+            silhouettes is always estimated.
         loss: "linear": least squares, right for noise without gross outliers.
-        seed: Of the choice of points for the start; the result hardly depends on it.
+        seed: Of random choices; the result hardly depends on it.
         throw: Raise `FitError` if the solver fails; else return a result with `converged` False.
         progress: Called with a line of text whenever a stage of the fit begins.
 
@@ -75,26 +73,83 @@ def fit(
         TargetError: The target cannot be used, or the options do not fit the model.
         FitError: The solver failed, and `throw` is True.
     """
-    cloud = as_point_cloud(target)
+    targets = as_targets(target, camera)
     template, names = _configuration(model, free, init)
     _check_options(pose, loss, noise)
-    weights = np.ones(len(cloud)) if cloud.weights is None else cloud.weights
-    _check_size(cloud, weights, names, template)
+    clouds = [part for part in targets if isinstance(part, PointCloud)]
+    views = [part for part in targets if isinstance(part, Silhouette)]
+    for cloud in clouds:
+        _check_frame(cloud, template)
+    progress = progress or (lambda text: None)
     with jax.enable_x64(True):
-        ends = fit_cloud(
-            template,
-            names,
-            cloud.points,
-            weights,
-            noise=noise,
-            from_template=init is not None,
-            seed=seed,
-            progress=progress or (lambda text: None),
-        )
-    result = _result(template, names, cloud, weights, noise, ends)
+        if not views:
+            (cloud,) = clouds if len(clouds) == 1 else [_together(clouds)]
+            targets = [cloud]
+            weights = np.ones(len(cloud)) if cloud.weights is None else cloud.weights
+            _check_count(weights, names)
+            ends = fit_cloud(
+                template,
+                names,
+                cloud.points,
+                weights,
+                noise=noise,
+                from_template=init is not None,
+                seed=seed,
+                progress=progress,
+            )
+        else:
+            contours = [Contour.of(view) for view in views]
+            posed, names = _without_camera(template, names, targets, contours)
+            for contour in contours:
+                _check_view(contour, posed)
+            ends = fit_joint(
+                posed,
+                names,
+                clouds,
+                contours,
+                noise=noise,
+                from_template=init is not None,
+                seed=seed,
+                progress=progress,
+            )
+            template = posed
+            targets = [*clouds, *views]
+    result = summarise(template, names, targets, ends, noise)
     if throw and not result.converged:
         raise FitError(result.message, result)
     return result
+
+
+def _together(clouds: list[PointCloud]) -> PointCloud:
+    """Several clouds of one noise as one."""
+    weights = [np.ones(len(c)) if c.weights is None else c.weights for c in clouds]
+    return PointCloud(np.concatenate([c.points for c in clouds]), weights=np.concatenate(weights))
+
+
+def _without_camera(
+    template: AbstractSurface,
+    names: tuple[str, ...],
+    targets: list[PointCloud | Silhouette],
+    contours: list[Contour],
+) -> tuple[AbstractSurface, tuple[str, ...]]:
+    """For a mask without a camera, the component in an unknown place of its image."""
+    if not any(isinstance(part, Silhouette) and part.camera is None for part in targets):
+        return template, names
+    if len(targets) > 1:
+        raise TargetError(
+            "a mask without a camera can only be fitted alone: where the petal lies in its image is not "
+            "known. Give the camera of every mask."
+        )
+    (contour,) = contours
+    low, high = contour.place.min(axis=0), contour.place.max(axis=0)
+    posed = Posed(
+        template,
+        # From the petal's axes to the image's: x right, y down, z away from the viewer.
+        np.diag([1.0, -1.0, -1.0]),
+        np.append(0.5 * (low + high), 0.0),
+        (high[1] - low[1]) / _TYPICAL_LENGTH,
+    )
+    return posed, (*names, *Posed.names)
 
 
 def _configuration(
@@ -142,16 +197,17 @@ def _check_options(pose: str, loss: str, noise: float | None) -> None:
         raise ValueError(f"noise must be a positive length or None; received {noise}")
 
 
-def _check_size(
-    cloud: PointCloud, weights: np.ndarray, names: tuple[str, ...], template: PeonyPetal
-) -> None:
-    """Enough points, in a unit in which the model's ranges can reach them."""
+def _check_count(weights: np.ndarray, names: tuple[str, ...]) -> None:
     count = np.count_nonzero(weights)
     if count < len(names) + 1:
         raise TargetError(
             f"{count} points cannot determine {len(names)} free parameters; at least "
             f"{len(names) + 1} are needed: give more points, or name fewer parameters in free."
         )
+
+
+def _check_frame(cloud: PointCloud, template: AbstractSurface) -> None:
+    """A unit in which the model's ranges can reach the points."""
     lengths = [p.bounds for p in parameters(template).values() if p.unit == "length"]
     largest = max(high for _, high in lengths)
     smallest = min(low for low, _ in lengths if low > 0)
@@ -169,179 +225,20 @@ def _check_size(
         )
 
 
-def _result(
-    template: PeonyPetal,
-    names: tuple[str, ...],
-    cloud: PointCloud,
-    weights: np.ndarray,
-    noise: float | None,
-    ends: list[Settled],
-) -> FitResult:
-    best = ends[0]
-    n = len(cloud)
-    beyond = np.maximum(best.beyond[:n], 0.0)
-    distances = np.where(
-        beyond > 0,
-        np.copysign(np.hypot(best.distance[:n], beyond), best.distance[:n]),
-        best.distance[:n],
-    )
-    declared = parameters(template)
-    finite = bool(
-        np.isfinite([*vars(best.model).values()]).all()
-        and np.isfinite(best.information).all()
-        and np.isfinite(distances).all()
-    )
-    settled = finite and bool(best.moved <= _SETTLED)
-    rms = math.sqrt(np.average(distances**2, weights=weights)) if finite else math.inf
-    covariance, identifiable = _covariance(ends, names, declared, finite)
-    values = {
-        name: float(getattr(best.model, name)) if finite else float(getattr(template, name))
-        for name in declared
-    }
-    bounds = _at_bounds(values, names, declared)
-    strained = any(identifiable[name] for name in bounds)
-    tolerable = (_STRAINED_MISFIT if strained else _MISFIT) * cloud.diagonal
-    misfit = rms > max(tolerable, 1.5 * (noise or 0.0))
-    status = (
-        "not_finite"
-        if not finite
-        else "misfit"
-        if misfit
-        else "converged"
-        if settled
-        else "round_limit"
-    )
-    sigma = best.sigma
-    stderr = dict(zip(names, map(float, np.sqrt(np.diag(covariance))), strict=True))
-    flips = settled and best.moved > 0.05
-    warnings = [
-        *([f"parameters flip by {best.moved:.2g} standard errors"] if flips else []),
-        *bounds.values(),
-        *(f"{name} is not determined by this target" for name in names if not identifiable[name]),
-        *_distance_warnings(cloud, distances, weights, rms, noise),
-        *_coverage_warnings(best, weights),
-    ]
-    message = {
-        "converged": f"converged after {best.rounds} rounds",
-        "round_limit": f"not converged after {best.rounds} rounds: parameters still move "
-        f"by {best.moved:.2g} standard errors",
-        "misfit": f"no petal of this model fits: distances are {100 * rms / cloud.diagonal:.1f} % of the "
-        "target's diagonal; either it is not in the model's frame and unit (pose='known'), or it has "
-        "another shape",
-        "not_finite": "the solver met values that are not finite",
-    }[status]
-    return FitResult(
-        model=type(template)(**values),
-        pose=Pose.identity(),
-        values=values,
-        stderr=stderr,
-        identifiable=identifiable,
-        names=names,
-        covariance=covariance,
-        noise=sigma,
-        rms=rms,
-        distances=distances,
-        weights=np.array(weights, float),
-        converged=status == "converged",
-        status=status,
-        message="; ".join([message, *warnings]),
-        warnings=tuple(warnings),
-        steps=best.rounds,
-        starts=tuple(
-            Start(
-                end.label,
-                {name: float(getattr(end.model, name)) for name in names},
-                math.exp(0.5 * end.chi2 / weights.sum()),
-                end.chi2 - best.chi2,
-            )
-            for end in ends
-        ),
-        target=cloud,
-    )
-
-
-def _covariance(
-    ends: list[Settled], names: tuple[str, ...], declared: dict[str, Parameter], finite: bool
-) -> tuple[np.ndarray, dict[str, bool]]:
-    """Inverse information; what is not determined gets infinite rows and columns.
-
-    The standard errors of the determined parameters are those with the others left free.
-    """
-    spread = np.array([np.ptp(declared[name].typical) for name in names]) / math.sqrt(12)
-    if not finite:
-        return np.full((len(names), len(names)), np.inf), dict.fromkeys(names, False)
-    scaled = ends[0].information * np.outer(spread, spread)
-    # Directions of no information at all keep a variance of 1e16 instead of a division by zero.
-    eigenvalues, vectors = np.linalg.eigh(scaled)
-    relative = (vectors / np.maximum(eigenvalues, 1e-16)) @ vectors.T
-    known = np.sqrt(np.diag(relative)) < _DETERMINED
-    for name in _doubtful_ribs(names, known, ends):
-        known[names.index(name)] = False
-    covariance = np.where(np.outer(known, known), relative * np.outer(spread, spread), np.inf)
-    return covariance, dict(zip(names, map(bool, known), strict=True))
-
-
-def _doubtful_ribs(names: tuple[str, ...], known: np.ndarray, ends: list[Settled]) -> list[str]:
-    """Rib parameters that the local information is too sure of.
-
-    Ribs that are not there have no frequency, whatever the curvature of the cost says; and where
-    another frequency fits almost as well, neither is known, nor how high the ribs are.
-    """
-    ribs = [name for name in ("rib_frequency", "rib_amplitude") if name in names]
-    if "rib_frequency" not in ribs:
-        return []
-    best = float(ends[0].model.rib_frequency)
-    rivals = [
-        end
-        for end in ends[1:]
-        if abs(float(end.model.rib_frequency) - best) > 0.5
-        and end.chi2 - ends[0].chi2 < _CLEAR_LEAD
-    ]
-    if rivals:
-        return ribs
-    return ["rib_frequency"] if not known[names.index(ribs[-1])] else []
-
-
-def _at_bounds(
-    values: dict[str, float], names: tuple[str, ...], declared: dict[str, Parameter]
-) -> dict[str, str]:
-    """Parameters at a bound, each with its warning."""
-    found = {}
-    for name in names:
-        low, high = declared[name].bounds
-        if min(values[name] - low, high - values[name]) < 0.005 * (high - low):
-            found[name] = f"{name} ended at the bound of its range ({low:g}, {high:g})"
-    return found
-
-
-def _distance_warnings(
-    cloud: PointCloud,
-    distances: np.ndarray,
-    weights: np.ndarray,
-    rms: float,
-    noise: float | None,
-) -> list[str]:
-    used = np.abs(distances[weights > 0])
-    typical = 1.4826 * float(np.median(used))
-    found = []
-    if noise is not None and rms > 1.5 * noise:
-        found.append(f"distances are {rms / noise:.1f} times the given noise")
-    gross = int(np.count_nonzero(used > _GROSS * max(typical, 1e-12 * cloud.diagonal)))
-    if gross:
-        found.append(
-            f"{gross} points lie beyond {_GROSS:g} times the typical distance; remove strays, or give "
-            "them weight 0"
+def _check_view(contour: Contour, template: AbstractSurface) -> None:
+    """A camera that sees the model where it may be."""
+    camera = contour.camera
+    corners = np.asarray(template.mesh((5, 5)).vertices)
+    if camera.is_orthographic:
+        return
+    depth = camera.depth(corners)
+    if depth.max() <= 0:
+        raise TargetError(
+            "the camera looks away from the petal, which lies behind it (z ≤ 0 in the camera's frame); "
+            "OpenCV cameras look along +z, and with pose='known' the petal begins at the origin."
         )
-    return found
-
-
-def _coverage_warnings(best: Settled, weights: np.ndarray) -> list[str]:
-    """A part of the surface without data, seen in 4 × 4 parts of the domain."""
-    (u_low, u_high), (v_low, v_high) = best.model.domain
-    used = np.flatnonzero(weights > 0)
-    u, v = best.uv[used].T
-    counts, *_ = np.histogram2d(u, v, bins=4, range=[[u_low, u_high], [v_low, v_high]])
-    empty = np.count_nonzero(counts == 0) / counts.size
-    if empty <= _EMPTY or len(used) < 8 * counts.size:
-        return []
-    return [f"{100 * empty:.0f} % of the surface has no data; there it is extrapolated"]
+    if depth.min() <= 0:
+        raise TargetError(
+            "the camera stands in or beside the petal, part of which lies behind it; with pose='known' "
+            "the petal begins at the origin and runs along +y."
+        )

@@ -60,6 +60,7 @@ def solve_differentiably(
     settled = solve(held[0], (term,), prior, held[2], whitening, max_rounds, tolerance)
     settled = jax.lax.stop_gradient(settled)
     (term,) = settled.terms
+    assert isinstance(term, TangentDistance)
 
     def gradient(t: Array) -> Array:
         return cost_gradient(coordinates, data, t, term.uv)

@@ -7,16 +7,15 @@ periodogram of the residual heights finds them all at once.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from typing import NamedTuple
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
 from petalfit.components import PeonyPetal, parameters
 from petalfit.fitting import programs
-from petalfit.surfaces import Scalar
+from petalfit.fitting.coordinates import with_values
 
 OUTLINE = ("a_x", "b_y", "c")
 HEIGHTS = ("c_z", "dx", "dy", "midrib_height", "tip_curl")
@@ -28,7 +27,7 @@ _BATCH = 256
 _GENERATIONS = (4, 1, 1, 1, 1)  # batches
 # Mean score of a direction: of whole petals at most 0.4, without their tip at least 1.7.
 _COMPLETE = 1.0
-_FREQUENCIES = np.arange(2.0, 56.0, 0.25)
+FREQUENCIES = np.arange(2.0, 56.0, 0.25)
 
 _TYPICAL = {name: parameters(PeonyPetal)[name].typical for name in OUTLINE}
 _LOW, _HIGH = np.array(list(_TYPICAL.values())).T
@@ -50,12 +49,6 @@ _OUTLINE_UV = np.concatenate(
 def flat(petal: PeonyPetal) -> PeonyPetal:
     """The petal with nothing rising from the plane z = 0."""
     return with_values(petal, dict.fromkeys((*HEIGHTS, "rib_amplitude"), 0.0))
-
-
-def with_values(petal: PeonyPetal, values: Mapping[str, Scalar | np.ndarray]) -> PeonyPetal:
-    """The petal with some of its parameters replaced."""
-    new = [np.asarray(value, np.float64) for value in values.values()]
-    return eqx.tree_at(lambda p: [getattr(p, name) for name in values], petal, new)
 
 
 def fit_outline(
@@ -151,14 +144,40 @@ def rib_periodogram(
     Returns:
         From one to `BASINS` peaks.
     """
-    u, v = uv.T
     # The midrib's flanks are steep: there a small shift of u is a large distance.
     scale = np.sum(weights * np.abs(distance)) / np.sum(weights) + 1e-300
     robust = weights / (1 + (distance / (3 * scale)) ** 2)
-    envelope = normal[:, 2] * (1 - 2 * np.abs(v - 0.5)) * (1 - 2 * np.abs(u))
-    frequencies = _FREQUENCIES if frequency is None else np.array([frequency])
-    waves = envelope * np.sin(np.outer(frequencies, (u + 0.5) * np.pi))
+    frequencies = FREQUENCIES if frequency is None else np.array([frequency])
+    waves = normal[:, 2] * rib_waves(uv, frequencies)
     covariance, power = waves @ (robust * distance), waves**2 @ robust + 1e-300
+    left = np.sum(robust * distance**2) - np.max(covariance**2 / power)
+    variance = max(left / np.sum(robust), 1e-300)
+    return rib_basins(frequencies, covariance, power, variance)
+
+
+def rib_waves(
+    uv: Float[np.ndarray, "n 2"], frequencies: Float[np.ndarray, " f"]
+) -> Float[np.ndarray, "f n"]:
+    """Heights of ribs of amplitude 1, Eq. 8."""
+    u, v = uv.T
+    envelope = (1 - 2 * np.abs(v - 0.5)) * (1 - 2 * np.abs(u))
+    return envelope * np.sin(np.outer(frequencies, (u + 0.5) * np.pi))
+
+
+def rib_basins(
+    frequencies: Float[np.ndarray, " f"],
+    covariance: Float[np.ndarray, " f"],
+    power: Float[np.ndarray, " f"],
+    variance: float,
+) -> list[RibBasin]:
+    """Peaks of a periodogram, the best first, from one to `BASINS`.
+
+    Args:
+        frequencies: At even distances, or a single one.
+        covariance: Of the ribs with what they are to explain.
+        power: Of the ribs.
+        variance: Of the noise, in whose units the gain is.
+    """
     amplitude, gain = covariance / power, covariance**2 / power
     before, after = np.append(0.0, gain[:-1]), np.append(gain[1:], 0.0)
     peaks = np.flatnonzero((gain >= before) & (gain > after))
@@ -167,9 +186,7 @@ def rib_periodogram(
     # The vertex of a parabola through a peak and its neighbours.
     curvature = before + after - 2 * gain
     vertex = 0.5 * (before - after) / np.where(curvature < 0, curvature, np.inf)
-    step = _FREQUENCIES[1] - _FREQUENCIES[0] if frequency is None else 0.0
-    left = np.sum(robust * distance**2) - np.max(gain)
-    variance = max(left / np.sum(robust), 1e-300)
+    step = frequencies[1] - frequencies[0] if len(frequencies) > 1 else 0.0
     return [
         RibBasin(
             float(frequencies[k] + step * np.clip(vertex[k], -0.5, 0.5)),

@@ -1,14 +1,16 @@
-"""The compiled programs of a cloud fit: few, small and shared, because a first fit waits for them."""
+"""The compiled programs of a fit: few, small and shared, because a first fit waits for them."""
 
 from __future__ import annotations
 
 import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from petalfit.compilation import Program
 from petalfit.fitting import solve as _solve
 from petalfit.fitting import survey as _survey
-from petalfit.residuals import nearest_nodes, refine_foot_points
+from petalfit.fitting.coordinates import Coordinates
+from petalfit.residuals import ContourDistance, nearest_nodes, pull_back, refine_foot_points
 from petalfit.surfaces import AbstractSurface
 
 
@@ -17,6 +19,32 @@ def _positions(surfaces: AbstractSurface, uv: Float[Array, "n 2"]) -> Float[Arra
     return jax.vmap(lambda surface: surface.position(uv[:, 0], uv[:, 1]))(surfaces)
 
 
+def _distances(
+    surface: AbstractSurface, points: Float[Array, "n 3"], uv: Float[Array, "n 2"]
+) -> Float[Array, " n"]:
+    """From points to their foot points."""
+    return jnp.linalg.norm(points - surface.position(uv[:, 0], uv[:, 1]), axis=-1)
+
+
+distances = Program(_distances)
+
+
+def _contour_slopes(
+    coordinates: Coordinates, t: Float[Array, " p"], term: ContourDistance
+) -> Float[Array, "n p"]:
+    """Derivatives of a contour's residuals, in units of its noise."""
+    model = coordinates.model(t)
+    pulled = pull_back(model, *term.slopes(model))
+    return coordinates.gather(pulled) * coordinates.slopes(t)
+
+
+def _contour_covectors(model: AbstractSurface, term: ContourDistance) -> Float[Array, "n 3"]:
+    """Derivatives of a contour's residuals by the places of the surface."""
+    return term.slopes(model)[1]
+
+
+contour_covectors = Program(_contour_covectors)
+contour_slopes = Program(_contour_slopes)
 positions = Program(_positions)
 nearest = Program(nearest_nodes)
 refine = Program(refine_foot_points)

@@ -12,8 +12,9 @@ import numpy as np
 from jaxtyping import Float64
 
 from petalfit import components
-from petalfit.components import parameters
-from petalfit.observations import PointCloud, TargetError
+from petalfit.components import Parameter, Posed, parameters
+from petalfit.fitting.targets import target_from_json, target_to_json
+from petalfit.observations import PointCloud, Silhouette, TargetError
 from petalfit.observations.atomic import atomic_path
 from petalfit.surfaces import AbstractSurface
 
@@ -21,7 +22,10 @@ if TYPE_CHECKING:
     import trimesh
 
 FORMAT = "petalfit.FitResult"
-VERSION = 1
+VERSION = 2
+# A rival whose χ² is worse by less than this is one. By chance alone, the best of the some 200
+# frequencies that ribs could have leads by 2 log 200.
+CLEAR_LEAD = 20.0
 
 
 class FitError(RuntimeError):
@@ -70,6 +74,37 @@ class Start:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
+class Agreement:
+    """One target beside the fitted surface.
+
+    Attributes:
+        target: What was fitted.
+        distances: Of a cloud, the signed normal distance of every point (+ on the side of the normal),
+            or its distance to the edge where it lies beyond, in the target's unit. Of a silhouette,
+            the signed distance of every place of its contour to the model's outline (+ outside of
+            it), in pixels. Shape (n,).
+        weights: The weight every datum had in the fit, shape (n,).
+        noise: Standard deviation of the distances, given or estimated, in their unit.
+    """
+
+    target: PointCloud | Silhouette
+    distances: Float64[np.ndarray, " n"]
+    weights: Float64[np.ndarray, " n"]
+    noise: float
+
+    @property
+    def rms(self) -> float:
+        """Root mean square distance, in the unit of the distances."""
+        squares = np.average(self.distances**2, weights=self.weights)
+        return float(np.sqrt(squares)) if np.isfinite(squares) else float("inf")
+
+    @property
+    def unit(self) -> str:
+        """Of the distances: "length", the target's, or "px"."""
+        return "px" if isinstance(self.target, Silhouette) else "length"
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
 class FitResult:
     """The outcome of a fit.
 
@@ -82,11 +117,7 @@ class FitResult:
             standard deviations of its typical range.
         names: The free parameters, in the order of `covariance`.
         covariance: Shape (p, p); rows and columns of what is not identifiable are `inf`.
-        noise: Standard deviation σ of the noise, given or estimated, in the target's unit.
-        rms: Root mean square distance of the data to the surface, in the target's unit.
-        distances: Signed normal distance of every datum (+ on the side of the normal), or its distance
-            to the edge where it lies beyond; in the target's unit, shape (n,).
-        weights: The weight every datum had in the fit, shape (n,).
+        agreements: Every target beside the fitted surface, in the order in which they were given.
         converged: Whether the solver settled, on a surface that follows the target.
         status: "converged"; "round_limit": it did not settle; "misfit": distances are far larger than
             any noise; "not_finite".
@@ -94,7 +125,6 @@ class FitResult:
         warnings: Reasons not to trust the result blindly; empty if there are none.
         steps: Rounds of the final solve.
         starts: What each start reached, best first.
-        target: The cloud that was fitted.
     """
 
     model: AbstractSurface
@@ -104,17 +134,54 @@ class FitResult:
     identifiable: dict[str, bool]
     names: tuple[str, ...]
     covariance: Float64[np.ndarray, "p p"]
-    noise: float
-    rms: float
-    distances: Float64[np.ndarray, " n"]
-    weights: Float64[np.ndarray, " n"]
+    agreements: tuple[Agreement, ...]
     converged: bool
     status: str
     message: str
     warnings: tuple[str, ...]
     steps: int
     starts: tuple[Start, ...]
-    target: PointCloud
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation σ of the first target's noise, given or estimated, in its unit."""
+        return self.agreements[0].noise
+
+    @property
+    def rms(self) -> float:
+        """Root mean square distance of the first target's data to the surface, in its unit."""
+        return self.agreements[0].rms
+
+    @property
+    def distances(self) -> Float64[np.ndarray, " n"]:
+        """Signed distances of all data, one target after the other; see `Agreement`."""
+        return np.concatenate([part.distances for part in self.agreements])
+
+    @property
+    def weights(self) -> Float64[np.ndarray, " n"]:
+        """The weight every datum had in the fit, one target after the other."""
+        return np.concatenate([part.weights for part in self.agreements])
+
+    @property
+    def rivals(self) -> tuple[Start, ...]:
+        """Other starts that ended almost as well as the best: the data hardly tell them apart."""
+        return tuple(start for start in self.starts[1:] if start.delta_chi2 < CLEAR_LEAD)
+
+    @property
+    def declared(self) -> dict[str, Parameter]:
+        """Of all that has a value: the model's parameters, and a fitted place in an image."""
+        found = dict(parameters(self.model))
+        if "scale" in self.values:
+            rows, columns = self.agreements[0].target.mask.shape  # pyright: ignore[reportAttributeAccessIssue]
+            scale = self.values["scale"]
+            typical = {
+                "scale": (0.3 * scale, 3 * scale),
+                "shift_x": (0, columns),
+                "shift_y": (0, rows),
+            }
+            for name, parameter in parameters(Posed).items():
+                found[name] = dataclasses.replace(parameter, unit="px", typical=typical[name])
+        return found
 
     def interval(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
         """Symmetric confidence intervals of the free parameters.
@@ -183,15 +250,19 @@ class FitResult:
         fields = {
             field.name: getattr(self, field.name)
             for field in dataclasses.fields(self)
-            if field.name not in ("model", "target")
+            if field.name not in ("model", "agreements")
         }
         fields["pose"] = dataclasses.asdict(self.pose)
         fields["starts"] = [dataclasses.asdict(start) for start in self.starts]
-        fields["target"] = {
-            "points": self.target.points,
-            "normals": self.target.normals,
-            "weights": self.target.weights,
-        }
+        fields["agreements"] = [
+            {
+                "target": target_to_json(part.target),
+                "distances": part.distances,
+                "weights": part.weights,
+                "noise": part.noise,
+            }
+            for part in self.agreements
+        ]
         head = {"format": FORMAT, "version": VERSION, "model": type(self.model).__name__}
         return head | {name: _encode(value) for name, value in fields.items()}
 
@@ -199,7 +270,6 @@ class FitResult:
     def _from_json(cls, content: dict[str, Any]) -> FitResult:
         fields = {name: _decode(value) for name, value in content.items()}
         model = getattr(components, content["model"])
-        target = fields["target"]
         pose = fields["pose"]
         kept = {field.name for field in dataclasses.fields(cls)} & fields.keys()
         return cls(
@@ -213,11 +283,17 @@ class FitResult:
                 ),
                 "names": tuple(fields["names"]),
                 "covariance": np.array(fields["covariance"], float),
-                "distances": np.array(fields["distances"], float),
-                "weights": np.array(fields["weights"], float),
                 "warnings": tuple(fields["warnings"]),
                 "starts": tuple(Start(**start) for start in fields["starts"]),
-                "target": PointCloud(target["points"], target["normals"], target["weights"]),
+                "agreements": tuple(
+                    Agreement(
+                        target_from_json(part["target"]),
+                        np.array(part["distances"], float),
+                        np.array(part["weights"], float),
+                        part["noise"],
+                    )
+                    for part in fields["agreements"]
+                ),
             }
         )
 

@@ -168,6 +168,39 @@ class Camera:
         intrinsics = np.array([[focal, 0, middle[0]], [0, focal, middle[1]], [0, 0, 1]])
         return cls.perspective(intrinsics, rotation, -rotation @ eye, shape)
 
+    def to_json(self) -> dict[str, Any]:
+        """All that it is, for `from_json`."""
+        arrays = {name: getattr(self, name).tolist() for name in ("matrix", "rotation")}
+        return arrays | {"translation": self.translation.tolist(), "shape": list(self.shape)}
+
+    @classmethod
+    def from_json(cls, content: dict[str, Any]) -> Camera:
+        """A camera from its JSON: what `to_json` made, or the arguments of a constructor.
+
+        With `pixels_per_unit` these are `orthographic`'s, with `K` they are `perspective`'s.
+
+        Raises:
+            TargetError: It is no camera.
+        """
+        fields = dict(content)
+        try:
+            fields["shape"] = tuple(fields["shape"])
+            if "pixels_per_unit" in fields:
+                return cls.orthographic(**fields)
+            if "K" in fields:
+                return cls.perspective(**fields)
+            return cls(
+                matrix=_finite(fields["matrix"], (3, 4), "matrix"),
+                rotation=_valid_rotation(fields["rotation"], exact=True),
+                translation=_finite(fields["translation"], (3,), "translation"),
+                shape=_valid_shape(fields["shape"]),
+            )
+        except (KeyError, TypeError) as error:
+            raise TargetError(
+                f"this is no camera ({error}); expected rotation, pixels_per_unit, centre and shape, or "
+                "K, rotation, translation and shape."
+            ) from None
+
     def project(self, points: Float[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 2"]:
         """Where points are seen, (x, y) in pixels; meaningless for points that are not in front."""
         seen = points @ self.matrix[:, :3].T + self.matrix[:, 3]
@@ -194,7 +227,7 @@ def _finite(value: ArrayLike, shape: tuple[int, ...], name: str) -> np.ndarray:
     return array
 
 
-def _valid_rotation(rotation: ArrayLike) -> np.ndarray:
+def _valid_rotation(rotation: ArrayLike, *, exact: bool = False) -> np.ndarray:
     array = _finite(rotation, (3, 3), "rotation")
     error = np.abs(array @ array.T - np.eye(3)).max()
     if error > _ORTHONORMAL:
@@ -207,6 +240,8 @@ def _valid_rotation(rotation: ArrayLike) -> np.ndarray:
             "rotation mirrors: its determinant is −1, expected +1. From a convention with y up or z "
             "backwards, change the sign of two axes, not of one."
         )
+    if exact:  # by an earlier call
+        return array
     u, _, v = np.linalg.svd(array)
     return u @ v
 

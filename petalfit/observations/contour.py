@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Float64
+from jaxtyping import Float, Float64, Shaped
 
 from petalfit.observations.camera import Camera
 from petalfit.observations.errors import TargetError
@@ -75,11 +75,13 @@ class Contour:
 
 
 def trace(
-    mask: Float[np.ndarray, "h w"],
+    mask: Shaped[np.ndarray, "h w"],
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"], Float[np.ndarray, " n"]]:
     """Places along the contours at one half, normals out of what is covered, and lengths, in pixels."""
     from skimage.measure import find_contours
 
+    if not mask.any():
+        return np.empty((0, 2)), np.empty((0, 2)), np.empty(0)
     # Only where there is something: large images are mostly background.
     rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
     top, left = max(rows[0] - 1, 0), max(columns[0] - 1, 0)

@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 
+IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".gif", ".webp", ".jpg", ".jpeg")
+
+
 @contextmanager
 def opened_image(path: str | os.PathLike[str]) -> Iterator[Image]:
     """The image while it is open; its pixels are to be read within the block.

@@ -9,7 +9,8 @@ import math
 import numpy as np
 from jaxtyping import Float
 
-from petalfit.report.colour import NEGATIVE, POSITIVE, ZERO, css
+from petalfit.report.colour import IGNORED, MASK, NEGATIVE, POSITIVE, ZERO, css, diverging
+from petalfit.report.overlay import Overlay
 from petalfit.report.raster import png
 from petalfit.report.rounding import fixed, plain, round_up, ticks
 from petalfit.report.scene import Picture, Scene
@@ -99,6 +100,32 @@ def map_chart(picture: Picture, scene: Scene, limit: float, noise: float) -> str
     content.append(_image(picture, left, top))
     content += _key(right + 16, top + 22, min(height - 30.0, 200.0), limit, noise)
     return _svg(right + key, bottom + 40, "map of signed distances", content)
+
+
+def overlay_chart(overlay: Overlay, limit: float, noise: float) -> str:
+    """A mask, its contour coloured by distance, and the fitted outline."""
+    left, top, right, bottom = overlay.box
+    per_pixel = min(440.0 / (right - left), 520.0 / (bottom - top))
+    width, height = (right - left) * per_pixel, (bottom - top) * per_pixel
+    rgba = np.zeros((*overlay.mask.shape, 4), np.uint8)
+    rgba[..., :3] = np.rint(255 * MASK)
+    rgba[..., 3] = np.rint(150 * overlay.mask)
+    data = base64.b64encode(png(rgba)).decode("ascii")
+    content = [
+        f'<image width="{width:.1f}" height="{height:.1f}" preserveAspectRatio="none" '
+        f'style="image-rendering:pixelated" href="data:image/png;base64,{data}"/>',
+        f'<rect class="plot" width="{width:.1f}" height="{height:.1f}"/>',
+    ]
+    corner = np.array([left, top])
+    for ring in overlay.rings:
+        thinned = ring[:: max(1, len(ring) // 2000)]
+        content.append(_path((np.concatenate([thinned, ring[:1]]) - corner) * per_pixel, "outline"))
+    colours = np.where(overlay.used[:, None], diverging(overlay.distances / limit), IGNORED)
+    places = (overlay.places - corner) * per_pixel
+    for (x, y), colour in zip(places.tolist(), colours, strict=True):
+        content.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="1.6" fill="{css(colour)}"/>')
+    content += _key(width + 16, 22, min(height - 30.0, 200.0), limit, noise)
+    return _svg(width + 76, height + 6, "mask and fitted outline", content)
 
 
 def _key(x: float, y: float, height: float, limit: float, noise: float) -> list[str]:

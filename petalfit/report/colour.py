@@ -8,6 +8,7 @@ from jaxtyping import Float
 FRONT = np.array([0.945, 0.690, 0.765])  # the side of the petal that its normal points to
 REAR = np.array([0.820, 0.560, 0.690])
 POINT = np.array([0.110, 0.360, 0.640])
+MASK = np.array([0.560, 0.600, 0.620])
 IGNORED = np.array([0.550, 0.550, 0.570])  # points without weight
 
 # Blue, grey, vermilion: they differ in hue for all, and the grey in the middle is visible on white

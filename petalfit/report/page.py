@@ -11,11 +11,14 @@ from collections.abc import Iterator
 import numpy as np
 
 from petalfit import __version__  # pyright: ignore[reportAttributeAccessIssue]  # not lazy
+from petalfit.components import parameters
 from petalfit.fitting import result as results
-from petalfit.fitting.result import FitResult
+from petalfit.fitting.result import Agreement, FitResult
+from petalfit.observations import PointCloud, Silhouette
 from petalfit.observations.atomic import atomic_path
-from petalfit.report.charts import histogram_chart, map_chart, view_chart
+from petalfit.report.charts import histogram_chart, map_chart, overlay_chart, view_chart
 from petalfit.report.colour import IGNORED, POINT, css
+from petalfit.report.overlay import Overlay
 from petalfit.report.rounding import count, listed, plain
 from petalfit.report.scene import BASE, OBLIQUE, SIDE, Scene, distance_limit, draw_map, draw_view
 from petalfit.report.tables import (
@@ -89,29 +92,62 @@ def _head(result: FitResult) -> str:
         if result.converged
         else "<strong>The fit did not converge; the numbers below are where it stopped.</strong>"
     )
-    used = int(np.count_nonzero(result.weights))
-    without = len(result.target) - used
-    ignored = f" ({without:,} more without weight)" if without else ""
-    size = " × ".join(plain(side) for side in result.target.extent)
-    of_noise = result.rms / result.noise if result.noise > 0 else math.nan
-    times = f", {of_noise:.2f} σ" if math.isfinite(of_noise) and of_noise < 1e4 else ""
+    parts = [_described(part) for part in result.agreements]
     known = sum(result.identifiable.values())
-    facts = {
-        "points": f"{used:,}",
-        "target size": f"{size}",
-        "rms distance": f"{plain(result.rms)}",
-        "noise σ": f"{plain(result.noise)}",
-        "determined parameters": f"{known} <small>of {len(result.names)} free</small>",
-    }
+    facts = {}
+    for number, (_, part_facts) in enumerate(parts, 1):
+        suffix = f" <small>{number}</small>" if len(parts) > 1 else ""
+        facts |= {f"{key}{suffix}": value for key, value in part_facts.items()}
+    facts["determined parameters"] = f"{known} <small>of {len(result.names)} free</small>"
+    what = listed([_named(part) for part in result.agreements])
+    lead = " ".join(sentence for sentence, _ in parts)
     return (
         f'<p class="eyebrow">petalfit · fit report</p>\n<h1>{kind} fitted to '
-        f'{count(used, "point")} <span class="status {style}">{words}</span></h1>\n'
-        f'<p class="lead">{ended} The points{ignored} lie {plain(result.rms)} (rms{times}) '
-        f"from the surface, with noise σ = {plain(result.noise)}, on a target {size} in size.</p>\n"
+        f'{what} <span class="status {style}">{words}</span></h1>\n'
+        f'<p class="lead">{ended} {lead}</p>\n'
         '<dl class="facts">'
         + "".join(f"<div><dt>{key}</dt><dd>{value}</dd></div>" for key, value in facts.items())
         + "</dl>"
     )
+
+
+def _named(part: Agreement) -> str:
+    if isinstance(part.target, PointCloud):
+        return count(int(np.count_nonzero(part.weights)), "point")
+    rows, columns = part.target.mask.shape
+    return f"a mask of {columns} × {rows} pixels"
+
+
+def _described(part: Agreement) -> tuple[str, dict[str, str]]:
+    """A sentence on one target and the fit, and the same as facts."""
+    of_noise = part.rms / part.noise if part.noise > 0 else math.nan
+    times = f", {of_noise:.2f} σ" if math.isfinite(of_noise) and of_noise < 1e4 else ""
+    if isinstance(part.target, Silhouette):
+        rows, columns = part.target.mask.shape
+        sentence = (
+            f"The mask's contour lies {plain(part.rms)} pixels (rms{times}) from the fitted outline, "
+            f"with noise σ = {plain(part.noise)} pixels."
+        )
+        return sentence, {
+            "pixels": f"{columns} × {rows}",
+            "covered": f"{round(part.target.area):,}",
+            "rms distance": f"{plain(part.rms)} px",
+            "noise σ": f"{plain(part.noise)} px",
+        }
+    used = int(np.count_nonzero(part.weights))
+    without = len(part.target) - used
+    ignored = f" ({without:,} more without weight)" if without else ""
+    size = " × ".join(plain(side) for side in part.target.extent)
+    sentence = (
+        f"The points{ignored} lie {plain(part.rms)} (rms{times}) from the surface, with noise σ = "
+        f"{plain(part.noise)}, on a target {size} in size."
+    )
+    return sentence, {
+        "points": f"{used:,}",
+        "target size": f"{size}",
+        "rms distance": f"{plain(part.rms)}",
+        "noise σ": f"{plain(part.noise)}",
+    }
 
 
 def _warnings(result: FitResult) -> str:
@@ -165,42 +201,70 @@ def _table_notes(result: FitResult) -> str:
 
 
 def _pictures(result: FitResult) -> Iterator[str]:
-    scene = Scene.of(result)
+    clouds = [part for part in result.agreements if isinstance(part.target, PointCloud)]
+    yield "<h2>Target and fit</h2>"
+    for part in clouds or [None]:
+        yield _views(Scene.of(result, part), len(part.distances) if part else 0)
+    yield "<h2>Distances</h2>"
+    for part in clouds:
+        yield _map(Scene.of(result, part), part)
+    for part in result.agreements:
+        if isinstance(part.target, Silhouette):
+            yield _contour(result, part)
+    yield f"<h2>Starts</h2>{starts_table(result)}"
+
+
+def _views(scene: Scene, total: int) -> str:
     oblique = draw_view(scene, OBLIQUE, _NARROW, (0.5, 1.2))
     side, base = (draw_view(scene, view, _WIDE, (0.25, 0.7)) for view in (SIDE, BASE))
-    total = len(result.target)
-    yield "<h2>Target and fit</h2>"
-    yield (
+    dots = ""
+    if total:
+        dots = f" and {_share(oblique.drawn, total)} as {_swatch(POINT)} dots{_ignored(scene)}"
+    hidden = " Points behind the surface are hidden by it." if total else ""
+    return (
         '<div class="views">'
-        f'<figure class="tall">{view_chart(oblique)}<figcaption>The fitted surface and '
-        f"{_share(oblique.drawn, total)} as {_swatch(POINT)} dots{_ignored(scene)}, from an "
-        "oblique direction. Points behind the surface are hidden by it. Axes are the petal's: "
+        f'<figure class="tall">{view_chart(oblique)}<figcaption>The fitted surface{dots}, from an '
+        f"oblique direction.{hidden} Axes are the petal's: "
         "x across, y along, z normal; bars are in the target's unit.</figcaption></figure>"
         f"<figure>{view_chart(side)}<figcaption>From the side.</figcaption></figure>"
         f"<figure>{view_chart(base)}<figcaption>From the base, along the petal.</figcaption>"
         "</figure></div>"
     )
-    limit = distance_limit(result)
+
+
+def _map(scene: Scene, part: Agreement) -> str:
+    limit = distance_limit(part)
     picture = draw_map(scene, limit, _MAP)
-    yield "<h2>Distances</h2>"
-    yield (
-        f'<div class="pair"><figure>{map_chart(picture, scene, limit, result.noise)}<figcaption>'
-        f"The fitted outline and {_share(picture.drawn, total)} in the plane of the petal, "
-        "coloured by signed distance, positive on the side of the normal"
+    return (
+        f'<div class="pair"><figure>{map_chart(picture, scene, limit, part.noise)}<figcaption>'
+        f"The fitted outline and {_share(picture.drawn, len(part.distances))} in the plane of the "
+        "petal, coloured by signed distance, positive on the side of the normal"
         f"{_ignored(scene)}. Noise alone shows no pattern here.</figcaption></figure>"
-        f"<div>{_histogram(result)}\n<h3>Starts</h3>{starts_table(result)}</div></div>"
+        f"<div>{_histogram(part)}</div></div>"
     )
 
 
-def _histogram(result: FitResult) -> str:
-    usable = (result.weights > 0) & np.isfinite(result.distances)
-    if not (result.noise > 0 and math.isfinite(result.noise) and usable.any()):
-        return "<p>There is no histogram: the noise is not a positive number.</p>"
-    inside = result.distances[usable] / result.noise
-    drawing, beyond = histogram_chart(inside, result.weights[usable])
-    outside = f" {count(beyond, 'distance')} beyond the ends." if beyond else ""
+def _contour(result: FitResult, part: Agreement) -> str:
+    limit = distance_limit(part)
+    drawing = overlay_chart(Overlay.of(result, part), limit, part.noise)
     return (
-        f"<figure>{drawing}<figcaption>Distances in units of the noise σ = {plain(result.noise)} "
+        f'<div class="pair"><figure>{drawing}<figcaption>The mask, its contour coloured by signed '
+        "distance in pixels, positive where it lies outside of the fitted outline, and that outline "
+        "as a line.</figcaption></figure>"
+        f"<div>{_histogram(part)}</div></div>"
+    )
+
+
+def _histogram(part: Agreement) -> str:
+    usable = (part.weights > 0) & np.isfinite(part.distances)
+    if not (part.noise > 0 and math.isfinite(part.noise) and usable.any()):
+        return "<p>There is no histogram: the noise is not a positive number.</p>"
+    inside = part.distances[usable] / part.noise
+    drawing, beyond = histogram_chart(inside, part.weights[usable])
+    outside = f" {count(beyond, 'distance')} beyond the ends." if beyond else ""
+    unit = " pixels" if part.unit == "px" else ""
+    return (
+        f"<figure>{drawing}<figcaption>Distances in units of the noise σ = {plain(part.noise)}{unit} "
         f"(bars), and the Gaussian that noise alone would give (line).{outside}</figcaption>"
         "</figure>"
     )
@@ -231,6 +295,10 @@ def _correlations(result: FitResult) -> str:
     return f"<section><h2>Correlations</h2>{text}</section>"
 
 
+def _unit(part: Agreement) -> str:
+    return " px" if part.unit == "px" else ""
+
+
 def _provenance(result: FitResult) -> str:
     pose, kind = result.pose, html.escape(type(result.model).__name__)
     rotation = "<br>".join(
@@ -241,9 +309,9 @@ def _provenance(result: FitResult) -> str:
         "model": kind,
         "status": html.escape(result.status),
         "message": html.escape(result.message),
-        "points": f"{len(result.target):,}",
-        "rms distance": f"{result.rms!r}",
-        "noise σ": f"{result.noise!r}",
+        "targets": listed([_named(part) for part in result.agreements]),
+        "rms distance": ", ".join(f"{part.rms!r}{_unit(part)}" for part in result.agreements),
+        "noise σ": ", ".join(f"{part.noise!r}{_unit(part)}" for part in result.agreements),
     }
     if not moved:
         rows["pose"] = "the target is in the model's frame"
@@ -253,7 +321,8 @@ def _provenance(result: FitResult) -> str:
         rows["translation"] = ", ".join(map(repr, pose.translation.tolist()))
     rows["petalfit"] = __version__
     rows["file format"] = f"{results.FORMAT}, version {results.VERSION}"
-    arguments = "\n".join(f"    {name}={value!r}," for name, value in result.values.items())
+    values = ((name, result.values[name]) for name in parameters(result.model))
+    arguments = "\n".join(f"    {name}={value!r}," for name, value in values)
     call = html.escape(f"petalfit.{type(result.model).__name__}(\n{arguments}\n)")
     return (
         f'<section class="provenance"><h2>Provenance</h2>{provenance_list(rows)}'

@@ -5,9 +5,13 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from petalfit.fitting.result import FitResult
+from petalfit.observations import PointCloud
 from petalfit.observations.atomic import atomic_path
 from petalfit.report.colour import NEGATIVE, POSITIVE, ZERO
+from petalfit.report.overlay import Overlay
 from petalfit.report.rounding import count, plain
 from petalfit.report.scene import (
     BASE,
@@ -53,17 +57,39 @@ def _figure(result: FitResult) -> Figure:
     # Imported here: matplotlib takes a second, and a report does without it.
     from matplotlib.figure import Figure
 
-    scene = Scene.of(result)
-    limit = distance_limit(result)
-    used = count(int((result.weights > 0).sum()), "point")
+    clouds = [part for part in result.agreements if isinstance(part.target, PointCloud)]
+    part = clouds[0] if clouds else result.agreements[0]
+    scene = Scene.of(result, part if clouds else None)
+    used = count(int((part.weights > 0).sum()), "point") if clouds else "mask"
     figure = Figure(figsize=(_WIDTH, _HEIGHT))
     tall = draw_view(scene, OBLIQUE, 900, (1.5, 1.5))
     _show(_axes(figure, 0.0, 0.1, 2.8, 4.2), tall, f"{type(result.model).__name__} and {used}")
     for view, bottom in ((SIDE, 2.35), (BASE, 0.1)):
         flat = draw_view(scene, view, 900, (0.61, 0.61))
         _show(_axes(figure, 2.95, bottom, 3.2, 1.95), flat, view.name)
-    _map(figure, draw_map(scene, limit, 900, (1.5, 1.5)), scene, limit, result.noise)
+    if clouds:
+        limit = distance_limit(part)
+        _map(figure, draw_map(scene, limit, 900, (1.5, 1.5)), scene, limit, part.noise)
+    else:
+        _overlay(figure, Overlay.of(result, part), part.noise)
     return figure
+
+
+def _overlay(figure: Figure, overlay: Overlay, noise: float) -> None:
+    """The mask with the outline of the fit."""
+    axes = _axes(figure, 6.5, 0.1, 3.5, 4.2)
+    left, top, right, bottom = overlay.box
+    grey = np.full((*overlay.mask.shape, 4), 0.55)
+    grey[..., 3] = 0.6 * overlay.mask
+    axes.imshow(grey, extent=(left, right, bottom, top))
+    for ring in overlay.rings:
+        axes.plot(*ring.T, color=_ROSE, linewidth=1.2)
+    axes.set_xlim(left, right)
+    axes.set_ylim(bottom, top)
+    axes.set_aspect("equal")
+    axes.set_axis_off()
+    title = f"mask, and outline of the fit (noise {plain(noise)} px)"
+    axes.set_title(title, color=_GREY, fontsize=10)
 
 
 def _axes(figure: Figure, left: float, bottom: float, width: float, height: float) -> Axes:

@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from petalfit.fitting.result import FitResult
+from petalfit.fitting.result import Agreement, FitResult
+from petalfit.observations import PointCloud
 from petalfit.report.colour import FRONT, IGNORED, POINT, REAR, diverging, shaded
 from petalfit.report.raster import Canvas
 
@@ -41,17 +42,22 @@ class Scene:
     used: Bool[np.ndarray, " k"]
 
     @classmethod
-    def of(cls, result: FitResult) -> Scene:
-        """The scene of a fit."""
+    def of(cls, result: FitResult, part: Agreement | None = None) -> Scene:
+        """The scene of a fit with one of its clouds, or with no points if there is none."""
         mesh = result.model.mesh(_RESOLUTION)
-        chosen = np.random.default_rng(0).permutation(len(result.target))[:_IN_MAP]
         pose = result.pose
+        points, distances, used = np.empty((0, 3)), np.empty(0), np.empty(0, bool)
+        if part is not None:
+            assert isinstance(part.target, PointCloud)
+            chosen = np.random.default_rng(0).permutation(len(part.target))[:_IN_MAP]
+            points = (part.target.points[chosen] - pose.translation) @ pose.rotation
+            distances, used = part.distances[chosen], part.weights[chosen] > 0
         return cls(
             pose.scale * np.array(mesh.vertices).reshape(*_RESOLUTION, 3),
             np.array(mesh.vertex_normals).reshape(*_RESOLUTION, 3),
-            (result.target.points[chosen] - pose.translation) @ pose.rotation,
-            result.distances[chosen],
-            result.weights[chosen] > 0,
+            points,
+            distances,
+            used,
         )
 
     @property
@@ -62,10 +68,10 @@ class Scene:
         return np.concatenate(sides)
 
 
-def distance_limit(result: FitResult) -> float:
+def distance_limit(part: Agreement) -> float:
     """The distance at which colours end: 3 σ, or where the farthest begin if the fit is poor."""
-    usable = np.abs(result.distances[(result.weights > 0) & np.isfinite(result.distances)])
-    noise = result.noise if np.isfinite(result.noise) else 0.0
+    usable = np.abs(part.distances[(part.weights > 0) & np.isfinite(part.distances)])
+    noise = part.noise if np.isfinite(part.noise) else 0.0
     far = float(np.quantile(usable, 0.98)) if len(usable) else 0.0
     return far if far > 4 * noise else 3 * noise or 1.0
 
@@ -187,4 +193,4 @@ def draw_map(
 def _dot_radius(picture: Picture, n: int, least: float, greatest: float) -> float:
     """Dots that cover about a quarter of a picture, in pixels."""
     height, width, _ = picture.rgba.shape
-    return float(np.clip(0.25 * np.sqrt(height * width / n), least, greatest))
+    return float(np.clip(0.25 * np.sqrt(height * width / max(n, 1)), least, greatest))

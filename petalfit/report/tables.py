@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from petalfit.components import Parameter, parameters
+from petalfit.components import Parameter
 from petalfit.fitting.result import FitResult
 from petalfit.report.charts import range_chart
 from petalfit.report.rounding import decimals_of, fixed, measured, plain
@@ -29,7 +29,7 @@ def parameter_table(result: FitResult, level: float = 0.95) -> str:
     intervals = result.interval(level)
     rows = [
         _parameter_row(name, parameter, result, intervals.get(name))
-        for name, parameter in parameters(result.model).items()
+        for name, parameter in result.declared.items()
     ]
     return (
         '<table class="parameters"><thead><tr><th scope="col">parameter</th>'
@@ -98,7 +98,7 @@ def starts_table(result: FitResult) -> str:
 
 def correlation_table(result: FitResult) -> str | None:
     """Correlations of the determined parameters as a heat map; None if there are not two."""
-    declared = parameters(result.model)
+    declared = result.declared
     known = [i for i, name in enumerate(result.names) if result.identifiable[name]]
     covariance = result.covariance[np.ix_(known, known)]
     spread = np.sqrt(np.diag(covariance))

@@ -1,9 +1,14 @@
 """Differentiable surfaces: a map (u, v) → ℝ³ and what follows from the map alone."""
 
 from petalfit.surfaces.deformation import AbstractDeformedSurface as AbstractDeformedSurface
+from petalfit.surfaces.outline import Outline as Outline
+from petalfit.surfaces.outline import outline as outline
 from petalfit.surfaces.shapes import Cylinder as Cylinder
 from petalfit.surfaces.shapes import Ellipsoid as Ellipsoid
 from petalfit.surfaces.shapes import Rectangle as Rectangle
+from petalfit.surfaces.silhouette import coverage as coverage
+from petalfit.surfaces.silhouette import outline_rings as outline_rings
+from petalfit.surfaces.silhouette import rings as rings
 from petalfit.surfaces.surface import AbstractSurface as AbstractSurface
 from petalfit.surfaces.surface import Domain as Domain
 from petalfit.surfaces.surface import Scalar as Scalar

@@ -54,7 +54,7 @@ def instantly(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
 @pytest.fixture
 def cloud_file(tmp_path: Path) -> Path:
     path = tmp_path / "petal.ply"
-    known_pose().target.save(path)
+    known_pose().agreements[0].target.save(path)
     return path
 
 

@@ -28,7 +28,7 @@ def test_demo(petalfit: Call, tmp_path: Path) -> None:
         assert str(tmp_path / "demo" / file) in outcome.out
     case, cloud = read_case(tmp_path / "demo")
     result = pf.FitResult.load(tmp_path / "demo/fit.json")
-    np.testing.assert_array_equal(result.target.points, cloud.points)
+    np.testing.assert_array_equal(result.agreements[0].target.points, cloud.points)
     for name in result.names:
         truth = float(getattr(case.model, name))
         assert abs(result.values[name] - truth) < 5 * result.stderr[name], name

@@ -13,7 +13,7 @@ from petalfit.fitting import FitResult
 from petalfit.observations import PointCloud
 from petalfit.synthetic import Case, make, random_petal
 from tests.cli.conftest import Outcome, contents
-from tests.fitted import known_pose
+from tests.fitted import changed, known_pose
 
 FILES = {"fit.json", "fit.glb", "report.html"}
 Call = Callable[..., Outcome]
@@ -85,7 +85,9 @@ def test_options_reach_the_fit(
     assert received["free"] == ["a_x", "b_y", "c"]
     assert (received["seed"], received["noise"], received["init"]) == (5, 0.1, None)
     assert received["throw"] is False
-    np.testing.assert_array_equal(received["target"].points, known_pose().target.points)
+    np.testing.assert_array_equal(
+        received["target"].points, known_pose().agreements[0].target.points
+    )
     petalfit("fit", cloud_file, "--out", tmp_path)
     assert (received["free"], received["noise"], received["seed"]) == (None, None, 0)
 
@@ -146,13 +148,12 @@ def test_a_fit_without_a_result_is_told_too(
     nothing = np.full_like(fitted.distances, np.nan)
     size = len(fitted.names)
     instantly(
-        dataclasses.replace(
+        changed(
             fitted,
             stderr=dict.fromkeys(fitted.names, math.inf),
             identifiable=dict.fromkeys(fitted.names, False),
             covariance=np.full((size, size), math.inf),
             noise=math.nan,
-            rms=math.inf,
             distances=nothing,
             converged=False,
             status="not_finite",

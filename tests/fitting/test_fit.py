@@ -53,7 +53,9 @@ def test_saving_is_lossless(result, tmp_path):
     assert loaded.values == result.values
     assert loaded.stderr == result.stderr
     np.testing.assert_array_equal(loaded.covariance, result.covariance)
-    np.testing.assert_array_equal(loaded.target.points, result.target.points)
+    np.testing.assert_array_equal(
+        loaded.agreements[0].target.points, result.agreements[0].target.points
+    )
     assert loaded.starts == result.starts
     assert loaded.model == result.model
 
@@ -64,7 +66,7 @@ def test_saving_is_lossless(result, tmp_path):
         (b"\x00\xff", "cannot be read"),
         (b"{}", "is not a fit result"),
         (b'{"format": "petalfit.FitResult", "version": 99}', "version 99"),
-        (b'{"format": "petalfit.FitResult", "version": 1, "model": "PeonyPetal"}', "damaged"),
+        (b'{"format": "petalfit.FitResult", "version": 2, "model": "PeonyPetal"}', "damaged"),
     ],
 )
 def test_a_file_that_is_no_result_is_refused(content, match, tmp_path):

@@ -1,5 +1,4 @@
 import base64
-import dataclasses
 import io
 import math
 import os
@@ -14,7 +13,7 @@ from PIL import Image
 from petalfit import FitResult, PointCloud, __version__, parameters
 from petalfit.report import write_picture, write_report
 from petalfit.report.colour import NEGATIVE, POSITIVE, ZERO, diverging
-from tests.fitted import HOSTILE, NOISE, known_pose, posed
+from tests.fitted import HOSTILE, NOISE, changed, known_pose, posed
 
 INLINE = {"span", "sub", "var", "code", "data", "strong", "small"}
 VOID = {"meta", "br", "img", "link", "input", "hr"}
@@ -87,7 +86,7 @@ def page(text) -> Page:
 
 
 def variant(tmp_path, **changes) -> Page:
-    return Page(write(dataclasses.replace(known_pose(), **changes), tmp_path))
+    return Page(write(changed(known_pose(), **changes), tmp_path))
 
 
 class TestContent:
@@ -120,7 +119,7 @@ class TestContent:
     def test_headline(self, page):
         words = " ".join(page.text.split())
         assert "PeonyPetal fitted to 360 points converged, with 4 warnings" in words
-        size = " × ".join(f"{side:.1f}" for side in posed().target.extent)
+        size = " × ".join(f"{side:.1f}" for side in posed().agreements[0].target.extent)
         rms = posed().rms
         sentence = (
             f"(40 more without weight) lie {rms:.4f} (rms, {rms / NOISE:.2f} σ) from the surface"
@@ -130,7 +129,7 @@ class TestContent:
 
     def test_provenance(self, page):
         assert f"petalfit {__version__}" in " ".join(page.text.split())
-        assert "petalfit.FitResult, version 1" in page.text
+        assert "petalfit.FitResult, version 2" in page.text
         assert posed().message in page.text
         assert repr(posed().pose.scale) in page.text
 
@@ -202,7 +201,9 @@ class TestPictures:
         np.testing.assert_allclose(found, [ZERO, POSITIVE, NEGATIVE])
 
     def test_large_targets_are_thinned_and_that_is_said(self, tmp_path):
-        points = np.concatenate([known_pose().target.points + k * 1e-3 for k in range(60)])
+        points = np.concatenate(
+            [known_pose().agreements[0].target.points + k * 1e-3 for k in range(60)]
+        )
         n = len(points)
         page = variant(
             tmp_path, target=PointCloud(points), distances=np.zeros(n), weights=np.ones(n)
@@ -225,7 +226,6 @@ class TestPoorFits:
             tmp_path,
             converged=False,
             status="not_finite",
-            rms=math.inf,
             noise=math.nan,
             distances=np.full(400, np.nan),
             covariance=np.full((len(names), len(names)), np.inf),
@@ -242,7 +242,7 @@ class TestPoorFits:
 
     @pytest.mark.parametrize("shift", [[0, 0, 1e3], [1e6, 0, 0], [0, -300, 40]])
     def test_a_target_elsewhere(self, tmp_path, shift):
-        points = known_pose().target.points + shift
+        points = known_pose().agreements[0].target.points + shift
         page = variant(tmp_path, target=PointCloud(points), distances=np.full(400, 1e3))
         assert len(page.pictures()) == 4
         assert all((picture[..., 3] == 255).any() for picture in page.pictures())

@@ -1,0 +1,197 @@
+"""What pixels do to a contour, found out by taking the same picture of the fitted model again.
+
+A mask's contour differs from the outline by up to half a pixel, in a pattern that depends on where the
+outline runs through the grid; neighbouring places err together, and corners are cut off on one side.
+No formula for independent errors holds. So masks of the fitted model are made with the grid shifted by
+random fractions of a pixel, and their contours are matched as the target's were: the mean of the cost's
+derivative is the cause of a bias, and its covariance that of the errors. With the grid as it was, the
+simulated contour errs as the target's does, as far as the mask has no other noise: how far, the
+correlation of the two tells, and so much of it is taken off as well.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from petalfit.fitting import programs
+from petalfit.fitting.coordinates import Coordinates
+from petalfit.fitting.views import CORRELATED, Match, View, padded, rows
+from petalfit.observations import Contour, trace
+from petalfit.surfaces import AbstractSurface, Outline, coverage, outline, outline_rings
+
+_PICTURES = 32
+_RINGS = (193, 129)  # vertices of the mesh whose masks are made
+# Even a picture that repeats the target's errors does not repeat them all.
+_LEFT = 0.5
+# What shows in fewer pixels of the contour than this is not resolved: its place is uncertain by half a
+# pixel in a binary mask and a tenth in one of coverage, and by more if it is smaller still.
+_RESOLVED = 10.0
+_BLUR = {True: 0.5, False: 0.1}
+
+
+class PixelErrors(NamedTuple):
+    """What a view's contour does to the cost, in the coordinates t.
+
+    Attributes:
+        score: Expected derivative at the truth, shape (p,).
+        spread: Its covariance, shape (p, p).
+        likeness: How far a picture with the grid as it was errs as the target does, from 0 to 1.
+        noise: Standard deviation of the contour's distances that weights were computed with, in pixels.
+    """
+
+    score: Float[np.ndarray, " p"]
+    spread: Float[np.ndarray, "p p"]
+    likeness: float
+    noise: float
+
+
+class _Scorer(NamedTuple):
+    """Derivatives of the cost for contours matched with one outline.
+
+    Attributes:
+        model: The surface.
+        view: The target's.
+        seen: The model's outline.
+        slopes: Derivatives of the outline's places along their normals by t, pixels, shape (n, p).
+        noise: Of the contour's distances, in pixels.
+    """
+
+    model: AbstractSurface
+    view: View
+    seen: Outline
+    slopes: Float[np.ndarray, "n p"]
+    noise: float
+
+    def weighted(self, match: Match) -> Float[np.ndarray, " n"]:
+        """Weights of a match's rows over the variance of the noise."""
+        share = match.length * self.view.calm(match, self.noise)
+        return share / (2 * CORRELATED * self.noise**2)
+
+    def rows(self, match: Match) -> Float[np.ndarray, "n p"]:
+        """Derivatives of a match's distances."""
+        facing = np.sum(match.normal * self.seen.normal[match.number], axis=-1)
+        return facing[:, None] * self.slopes[match.number]
+
+    def score(self, match: Match) -> Float[np.ndarray, " p"]:
+        """Derivative of half the weighted sum of squared distances."""
+        return self.rows(match).T @ (self.weighted(match) * match.distance)
+
+
+def pixel_errors(
+    coordinates: Coordinates, t: Float[np.ndarray, " p"], view: View, seed: int = 0
+) -> PixelErrors:
+    """Pictures of the model at t, compared with the target."""
+    scorer, target = _scorer(coordinates, t, view)
+    shifts = np.random.default_rng(seed).random((_PICTURES, 2))
+    same, *others = _pictures(scorer, np.concatenate([np.zeros((1, 2)), shifts]))
+    scores = np.array([scorer.score(match) for match in others])
+    mean, spread = scores.mean(axis=0), np.cov(scores.T).reshape(len(t), len(t))
+    # Distances of the outline's places, which all matches share.
+    middle = np.mean([match.distance[~match.forward] for match in others], axis=0)
+    observed = target.distance[~target.forward] - middle
+    repeated = same.distance[~same.forward] - middle
+    calm = target.length[~target.forward] / (1 + (observed / view.kernel) ** 2)
+    power = float(np.sum(calm * repeated**2)) + 1e-300
+    likeness = float(np.clip(np.sum(calm * repeated * observed) / power, 0.0, 1.0))
+    expected = np.mean([_variance(match) for match in others])
+    excess = max(0.0, 1 - float(expected) / max(_variance(target), 1e-300))
+    spread = max(1 - likeness**2, _LEFT) * spread + excess * _long_run(scorer, target)
+    return PixelErrors(mean, spread + _unresolved(scorer, target), likeness, scorer.noise)
+
+
+def repeated(
+    coordinates: Coordinates, t: Float[np.ndarray, " p"], view: View, errors: PixelErrors
+) -> Float[np.ndarray, " p"]:
+    """What a picture of the model at t, with the grid as it was, has more of a score than the target.
+
+    It is zero where the picture's contour is the target's, up to what the parameters cannot follow.
+    """
+    scorer, target = _scorer(coordinates, t, view, errors.noise)
+    (same,) = _pictures(scorer, np.zeros((1, 2)))
+    return errors.likeness * (scorer.score(same) - scorer.score(target))
+
+
+def _scorer(
+    coordinates: Coordinates, t: np.ndarray, view: View, noise: float | None = None
+) -> tuple[_Scorer, Match]:
+    model = coordinates.model(t)
+    seen = outline(model, view.contour.camera)
+    target = view.matched(seen)
+    slopes = _slopes(coordinates, t, view.contour, seen)
+    return _Scorer(model, view, seen, slopes, noise or view.noise(target)), target
+
+
+def _slopes(coordinates: Coordinates, t: np.ndarray, contour: Contour, seen: Outline) -> np.ndarray:
+    count = len(seen.uv)
+    every = np.arange(count)
+    match = Match(seen.uv, seen.place, seen.normal, seen.place, seen.length, every >= 0, every)
+    term = padded([rows(contour, match, np.ones(count))])
+    return np.asarray(programs.contour_slopes(coordinates, t, term))[:count]
+
+
+def _pictures(scorer: _Scorer, shifts: np.ndarray) -> list[Match]:
+    """Matches of contours whose grid is shifted; only the part of the image that the model covers."""
+    view, contour = scorer.view, scorer.view.contour
+    rings = outline_rings(scorer.model, contour.camera, _RINGS)
+    # Beyond the image there is nothing to compare.
+    low = np.maximum(np.floor(np.min([ring.min(axis=0) for ring in rings], axis=0)) - 2, -2)
+    high = np.ceil(np.max([ring.max(axis=0) for ring in rings], axis=0)) + 3
+    high = np.minimum(high, np.array(contour.camera.shape[::-1]) + 3)
+    columns, lines = np.maximum(high - low, 1).astype(int)
+    matches = []
+    for shift in shifts:
+        mask = coverage([ring - low + shift for ring in rings], (int(lines), int(columns)))
+        place, normal, length = trace(mask >= 0.5 if contour.binary else mask)
+        if len(place) == 0:
+            # The model is hardly in the image: there is no fit whose errors matter.
+            place, normal, length = contour.place, contour.normal, contour.length
+        else:
+            place = place + low - shift
+        matches.append(view.like(place, normal, length).matched(scorer.seen))
+    return matches
+
+
+def _variance(match: Match) -> float:
+    counts = match.forward & (match.length > 0)
+    return float(np.median(np.abs(match.distance[counts]))) ** 2
+
+
+def _long_run(scorer: _Scorer, match: Match) -> Float[np.ndarray, "p p"]:
+    """Covariance of the score if the target's distances are noise that is correlated along the contour.
+
+    The sum over all pairs of neighbours, those farther apart counting less (Newey and West, 1987).
+    """
+    forward = match.forward
+    weights = 2 * scorer.weighted(match)[forward]
+    distance = match.distance[forward] - np.average(match.distance[forward], weights=weights)
+    calm = distance * np.sqrt(weights)
+    power = float(calm @ calm)
+    correlations = [float(calm[lag:] @ calm[:-lag]) / power for lag in range(1, len(calm) // 8)]
+    ends = np.flatnonzero(np.array(correlations) < 0.05)
+    reach = int(ends[0]) + 1 if len(ends) else len(correlations)
+    reach = max(4, 3 * reach)
+    parts = scorer.rows(match)[forward] * (weights * distance)[:, None]
+    total = parts.T @ parts
+    for lag in range(1, min(reach, len(parts) - 1)):
+        pairs = parts[lag:].T @ parts[:-lag]
+        total += (1 - lag / reach) * (pairs + pairs.T)
+    time = 1 + 2 * sum(correlations[: reach // 3])
+    effective = len(calm) / max(time, 1.0)
+    return total * effective / max(effective - total.shape[0], 0.2 * effective)
+
+
+def _unresolved(scorer: _Scorer, match: Match) -> Float[np.ndarray, "p p"]:
+    """Covariance of the score by parameters that show in a few pixels only, where slopes mislead."""
+    power = (2 * scorer.weighted(match)[:, None] * scorer.rows(match) ** 2)[match.forward]
+    total = power.sum(axis=0) + 1e-300
+    pixels = total**2 / (np.sum(power**2, axis=0) + 1e-300)
+    length = float(match.length[match.forward].mean())
+    blur = _BLUR[scorer.view.contour.binary] * (_RESOLVED / (pixels * length + 1e-9)) ** 2
+    # Pixels by which one unit of t moves what shows; the error in t is at most the typical range.
+    speed = np.sum(power * np.abs(scorer.rows(match)[match.forward]), axis=0) / total + 1e-300
+    weighted = (2 * scorer.weighted(match)[:, None] * scorer.rows(match))[match.forward]
+    information = weighted.T @ scorer.rows(match)[match.forward]
+    return (information * np.minimum(blur / speed, 1.0) ** 2) @ information

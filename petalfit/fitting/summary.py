@@ -1,0 +1,240 @@
+"""From where the starts ended to a result: values, errors, and words for what they do not say."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from petalfit.components import Parameter, Posed, bare, parameters
+from petalfit.fitting.determined import combinations, covariance
+from petalfit.fitting.result import CLEAR_LEAD, Agreement, FitResult, Pose, Start
+from petalfit.fitting.rounds import Settled
+from petalfit.observations import PointCloud, Silhouette
+from petalfit.surfaces import AbstractSurface
+
+# Distances of more than this fraction of a target's size are no noise.
+_MISFIT = 0.02
+# And of less, if the model had to be bent to the bounds of its parameters.
+_STRAINED_MISFIT = 0.005
+_GROSS = 6.0  # in units of the noise
+_EMPTY = 0.1
+# Where foot points jump between two folds, a fit may flip for ever between two states that are nearly
+# the same: up to this many standard errors apart, that is a warning and no failure.
+_SETTLED = 0.5
+# Standard errors between two ends from which they are different.
+_RIVAL = 3.0
+
+
+def summarise(
+    template: AbstractSurface,
+    names: tuple[str, ...],
+    targets: Sequence[PointCloud | Silhouette],
+    ends: list[Settled],
+    noise: float | None,
+) -> FitResult:
+    """The result of a fit.
+
+    Args:
+        template: Values for the case that the best end is not finite.
+        names: The free parameters.
+        targets: In the order of the ends' observations.
+        ends: What each start reached, the best first.
+        noise: Of the clouds, if it was given.
+    """
+    best = ends[0]
+    declared = parameters(template)
+    agreements = [
+        Agreement(target, part.distance, np.asarray(part.weights, float), part.noise)
+        for target, part in zip(targets, best.seen, strict=True)
+    ]
+    finite = bool(
+        all(np.isfinite(float(getattr(best.model, name))) for name in declared)
+        and np.isfinite(best.information).all()
+        and all(np.isfinite(part.distances).all() for part in agreements)
+    )
+    source = best.model if finite else template
+    values = {name: float(getattr(source, name)) for name in declared}
+    if finite:
+        matrix, found = covariance(ends, names, declared)
+    else:
+        matrix, found = np.full((len(names), len(names)), np.inf), np.zeros(len(names), bool)
+    identifiable = dict(zip(names, map(bool, found), strict=True))
+    bounds = _at_bounds(values, names, declared)
+    strained = any(identifiable[name] for name in bounds)
+    misfits = [_misfit(part, strained, noise) for part in agreements]
+    settled = finite and bool(best.moved <= _SETTLED)
+    if not finite:
+        status, message = "not_finite", "the solver met values that are not finite"
+    elif any(misfits):
+        status, message = "misfit", next(filter(None, misfits))
+    elif settled:
+        status, message = "converged", f"converged after {best.rounds} rounds"
+    else:
+        status = "round_limit"
+        message = (
+            f"not converged after {best.rounds} rounds: parameters still move by "
+            f"{best.moved:.2g} standard errors"
+        )
+    flips = settled and best.moved > 0.05
+    warnings = [
+        *([f"parameters flip by {best.moved:.2g} standard errors"] if flips else []),
+        *bounds.values(),
+        *(f"{name} is not determined by this target" for name in names if not identifiable[name]),
+        *(combinations(best, names, declared, found) if finite else []),
+        *_rivals(ends, names, matrix),
+        *(w for part, seen in zip(agreements, best.seen, strict=True)
+          for w in _about(part, seen.uv, bare(best.model), noise)),
+    ]  # fmt: skip
+    pose = Pose.identity()
+    if isinstance(source, Posed):
+        pose = Pose(*source.placement)
+        warnings.append(
+            "without a camera lengths are relative: one unit of the model is "
+            f"{pose.scale:.4g} pixels"
+        )
+        values, matrix = _in_pixels(source, names, values, matrix)
+    stderr = dict(zip(names, map(float, np.sqrt(np.diag(matrix))), strict=True))
+    model = bare(source)
+    return FitResult(
+        model=type(model)(**{name: values[name] for name in parameters(model)}),
+        pose=pose,
+        values=values,
+        stderr=stderr,
+        identifiable=identifiable,
+        names=names,
+        covariance=matrix,
+        agreements=tuple(agreements),
+        converged=status == "converged",
+        status=status,
+        message="; ".join([message, *warnings]),
+        warnings=tuple(warnings),
+        steps=best.rounds,
+        starts=_starts(ends, names),
+    )
+
+
+def _starts(ends: list[Settled], names: tuple[str, ...]) -> tuple[Start, ...]:
+    return tuple(
+        Start(
+            end.label,
+            {name: float(getattr(end.model, name)) for name in names},
+            math.sqrt(np.average(end.seen[0].distance ** 2, weights=end.seen[0].weights)),
+            end.chi2 - ends[0].chi2,
+        )
+        for end in ends
+    )
+
+
+def _in_pixels(
+    posed: Posed, names: tuple[str, ...], values: dict[str, float], matrix: np.ndarray
+) -> tuple[dict[str, float], np.ndarray]:
+    """Scale in pixels a unit, and where the model's origin is seen, instead of Posed's own units."""
+    _, translation, scale = posed.placement
+    unit = float(posed.unit)
+    factors = np.array([unit if name in Posed.names else 1.0 for name in names])
+    pixels = {"scale": scale, "shift_x": translation[0], "shift_y": translation[1]}
+    return values | pixels, matrix * np.outer(factors, factors)
+
+
+def _size(target: PointCloud | Silhouette) -> float:
+    """Of a cloud the diagonal of its box, of a silhouette that of its mask's, in pixels."""
+    if isinstance(target, PointCloud):
+        return target.diagonal
+    rows, columns = np.nonzero(target.mask >= 0.5)
+    return math.hypot(np.ptp(rows), np.ptp(columns))
+
+
+def _misfit(part: Agreement, strained: bool, noise: float | None) -> str:
+    """Why the surface does not follow a target; empty if it does."""
+    size = _size(part.target)
+    tolerable = (_STRAINED_MISFIT if strained else _MISFIT) * size
+    rms = part.rms
+    if isinstance(part.target, Silhouette):
+        # A few places are matched across a fold, far away.
+        rms = 1.4826 * float(np.median(np.abs(part.distances[part.weights > 0])))
+        frame = "its camera is not where it is said to be, or it has another shape"
+        tolerable = max(0.5 * tolerable, 1.0)
+    else:
+        frame = (
+            "either it is not in the model's frame and unit (pose='known'), or it has another shape"
+        )
+        tolerable = max(tolerable, 1.5 * (noise or 0.0))
+    if rms <= tolerable:
+        return ""
+    return (
+        f"no petal of this model fits: distances are {100 * rms / size:.1f} % of the target's "
+        f"diagonal; {frame}"
+    )
+
+
+def _at_bounds(
+    values: dict[str, float], names: tuple[str, ...], declared: dict[str, Parameter]
+) -> dict[str, str]:
+    """Parameters at a bound, each with its warning."""
+    found = {}
+    for name in names:
+        low, high = declared[name].bounds
+        if min(values[name] - low, high - values[name]) < 0.005 * (high - low):
+            found[name] = f"{name} ended at the bound of its range ({low:g}, {high:g})"
+    return found
+
+
+def _rivals(ends: list[Settled], names: tuple[str, ...], matrix: np.ndarray) -> list[str]:
+    """Starts that ended elsewhere with nearly the same cost."""
+    error = np.sqrt(np.diag(matrix))
+    best = np.array([float(getattr(ends[0].model, name)) for name in names])
+    others = []
+    for end in ends[1:]:
+        there = np.array([float(getattr(end.model, name)) for name in names])
+        with np.errstate(invalid="ignore"):
+            apart = np.abs(there - best) / error
+        if end.chi2 - ends[0].chi2 < CLEAR_LEAD and np.nanmax(apart) > _RIVAL:
+            others.append(f"{end.label} (Δχ² {end.chi2 - ends[0].chi2:.1f})")
+    if not others:
+        return []
+    return [f"almost as good: {', '.join(others)}"]
+
+
+def _about(
+    part: Agreement, uv: np.ndarray | None, model: AbstractSurface, noise: float | None
+) -> list[str]:
+    """Warnings on one target."""
+    if isinstance(part.target, Silhouette):
+        return []
+    found = _distance_warnings(part.target, part.distances, part.weights, part.rms, noise)
+    return found + (_coverage_warnings(model, uv, part.weights) if uv is not None else [])
+
+
+def _distance_warnings(
+    cloud: PointCloud,
+    distances: np.ndarray,
+    weights: np.ndarray,
+    rms: float,
+    noise: float | None,
+) -> list[str]:
+    used = np.abs(distances[weights > 0])
+    typical = 1.4826 * float(np.median(used))
+    found = []
+    if noise is not None and rms > 1.5 * noise:
+        found.append(f"distances are {rms / noise:.1f} times the given noise")
+    gross = int(np.count_nonzero(used > _GROSS * max(typical, 1e-12 * cloud.diagonal)))
+    if gross:
+        found.append(
+            f"{gross} points lie beyond {_GROSS:g} times the typical distance; remove strays, or give "
+            "them weight 0"
+        )
+    return found
+
+
+def _coverage_warnings(model: AbstractSurface, uv: np.ndarray, weights: np.ndarray) -> list[str]:
+    """A part of the surface without data, seen in 4 × 4 parts of the domain."""
+    (u_low, u_high), (v_low, v_high) = model.domain
+    used = np.flatnonzero(weights > 0)
+    u, v = uv[used].T
+    counts, *_ = np.histogram2d(u, v, bins=4, range=[[u_low, u_high], [v_low, v_high]])
+    empty = np.count_nonzero(counts == 0) / counts.size
+    if empty <= _EMPTY or len(used) < 8 * counts.size:
+        return []
+    return [f"{100 * empty:.0f} % of the surface has no data; there it is extrapolated"]

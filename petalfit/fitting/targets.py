@@ -1,0 +1,108 @@
+"""What may be fitted: anything that can be made a cloud or a silhouette, or a list of these."""
+
+from __future__ import annotations
+
+import base64
+import os
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from petalfit.observations import (
+    IMAGE_SUFFIXES,
+    Camera,
+    PointCloud,
+    Silhouette,
+    as_point_cloud,
+)
+
+
+def as_targets(target: object, camera: Camera | None) -> list[PointCloud | Silhouette]:
+    """Every target as a cloud or a silhouette.
+
+    Args:
+        target: A cloud, a mask, or a list of these; see `petalfit.fit`.
+        camera: Of masks that are arrays or files.
+
+    Raises:
+        TargetError: There is none, or one cannot be used.
+    """
+    parts = target if isinstance(target, list | tuple) and _is_list_of_targets(target) else [target]
+    return [_as_target(part, camera) for part in parts]
+
+
+def _is_list_of_targets(target: list | tuple) -> bool:
+    """Rather than rows of coordinates or of pixels."""
+    kinds = (PointCloud, Silhouette, str, os.PathLike)
+    return any(
+        isinstance(part, kinds) or hasattr(part, "vertices") or np.ndim(part) == 2
+        for part in target
+    )
+
+
+def _as_target(target: object, camera: Camera | None) -> PointCloud | Silhouette:
+    if isinstance(target, Silhouette):
+        if target.camera is None and camera is not None:
+            return Silhouette(target.mask, camera, target.weights)
+        return target
+    if isinstance(target, str | os.PathLike):
+        if Path(target).suffix.lower() in IMAGE_SUFFIXES:
+            return Silhouette.load(target, camera)
+        return as_point_cloud(target)
+    if isinstance(target, np.ndarray) and _looks_like_a_mask(target, camera):
+        return Silhouette(target, camera)
+    return as_point_cloud(target)
+
+
+def _looks_like_a_mask(array: np.ndarray, camera: Camera | None) -> bool:
+    """(N, 3) is a cloud, other matrices are masks, and so are pictures, which the mask refuses."""
+    if array.ndim == 3:
+        return True
+    return array.ndim == 2 and (array.dtype == bool or camera is not None or min(array.shape) > 8)
+
+
+def target_to_json(target: PointCloud | Silhouette) -> dict[str, Any]:
+    """A target as JSON holds it, lossless."""
+    if isinstance(target, PointCloud):
+        parts = ("points", "normals", "weights")
+        return {"kind": "cloud"} | {name: getattr(target, name) for name in parts}
+    camera = target.camera
+    return {
+        "kind": "silhouette",
+        "shape": list(target.mask.shape),
+        "mask": _packed(target.mask),
+        "weights": None if target.weights is None else _packed(target.weights),
+        "camera": None if camera is None else camera.to_json(),
+    }
+
+
+def target_from_json(content: dict[str, Any]) -> PointCloud | Silhouette:
+    """What `target_to_json` made."""
+    if content["kind"] == "cloud":
+        return PointCloud(content["points"], content["normals"], content["weights"])
+    shape = tuple(content["shape"])
+    weights, camera = content["weights"], content["camera"]
+    return Silhouette(
+        _unpacked(content["mask"], shape),
+        None if camera is None else Camera.from_json(camera),
+        None if weights is None else _unpacked(weights, shape),
+    )
+
+
+def _packed(array: np.ndarray) -> str:
+    """As bytes where multiples of 1/255 lose nothing, as doubles otherwise; deflated, in base 64."""
+    eight = np.rint(255 * array)
+    exact = bool(((eight / 255) == array).all() and (eight <= 255).all())
+    content = eight.astype(np.uint8) if exact else array.astype("<f8")
+    data = base64.b64encode(zlib.compress(content.tobytes(), 6)).decode("ascii")
+    return f"{'u1' if exact else 'f8'}:{data}"
+
+
+def _unpacked(text: str, shape: tuple[int, ...]) -> np.ndarray:
+    kind, _, data = text.partition(":")
+    content = zlib.decompress(base64.b64decode(data))
+    if kind == "u1":
+        return np.frombuffer(content, np.uint8).reshape(shape) / 255
+    return np.frombuffer(content, "<f8").reshape(shape).astype(np.float64)

@@ -1,0 +1,148 @@
+"""Where to start from silhouettes: candidates whose support functions are those of the contours.
+
+The support function, how far a shape reaches in every direction, needs no matching: it is the largest
+projection of the surface's own places, folds and all. Evenly spread candidates are scored by it, the
+best are improved on it by a few damped Gauss-Newton steps, and those that remain differ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from petalfit.compilation import Program
+from petalfit.components import parameters
+from petalfit.fitting.coordinates import Coordinates
+from petalfit.observations import Contour
+from petalfit.residuals import pull_back
+
+_CANDIDATES = 2048
+_IMPROVED = 256
+_STEPS = 8
+_DIRECTIONS = 48
+_NODES = 17  # per side of the domain
+_DIFFERENT = 0.3  # in units of the typical ranges' standard deviations
+_TOLERANCE = 0.01  # of the contour's size
+_PRIOR = 0.05  # what keeps parameters of no influence where they are
+
+
+def search(
+    coordinates: Coordinates, contours: Sequence[Contour], most: int
+) -> list[Float[np.ndarray, " p"]]:
+    """Coordinates t of different candidates, the best first, at most `most`.
+
+    Args:
+        coordinates: The free parameters; those that are held keep the template's values.
+        contours: All that was seen.
+        most: How many to return at the most.
+    """
+    angle = 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
+    directions = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    matrices = np.stack([contour.camera.matrix for contour in contours])
+    scale = np.array([_TOLERANCE * contour.size for contour in contours])
+    reach, known = np.empty((2, len(contours), _DIRECTIONS))
+    for k, contour in enumerate(contours):
+        along = contour.place @ directions.T
+        reach[k] = np.max(along, axis=0)
+        # Where the contour is cut off, the petal reaches at least as far: more is no fault.
+        known[k] = contour.length[np.argmax(along, axis=0)] > 0
+    candidates = _spread(coordinates)
+    found = np.asarray(_supports(coordinates, candidates, matrices, directions))
+    gap = np.where((known == 0) & (found > reach), 0.0, found - reach) / scale[:, None]
+    score = np.mean(np.log1p((gap / 3) ** 2), axis=(1, 2))
+    best = candidates[np.argsort(score)[:_IMPROVED]]
+    improved, score = map(
+        np.asarray, _improve(coordinates, best, matrices, directions, reach, known, scale)
+    )
+    chosen: list[np.ndarray] = []
+    for t in improved[np.argsort(score)]:
+        if all(np.max(np.abs(t - other)) > _DIFFERENT for other in chosen):
+            chosen.append(t)
+        if len(chosen) == most:
+            break
+    return chosen
+
+
+def _spread(coordinates: Coordinates) -> Float[np.ndarray, "m p"]:
+    """Evenly spread over the typical ranges; held parameters at the template's values."""
+    template, free = coordinates.template, coordinates.free
+    typical = np.array([parameters(template)[name].typical for name in free])
+    # Additive recurrence by powers of the root of x^(p + 1) = x + 1.
+    root = 2.0
+    for _ in range(64):
+        root = (1 + root) ** (1 / (len(free) + 1))
+    steps = np.outer(np.arange(_CANDIDATES), root ** -np.arange(1.0, len(free) + 1))
+    values = typical[:, 0] + (typical[:, 1] - typical[:, 0]) * ((0.5 + steps) % 1.0)
+    given = coordinates.inverse(template)
+    return np.where(coordinates.active > 0, coordinates.place(values), given)
+
+
+_FRACTION = np.linspace(0.0, 1.0, _NODES)
+_GRID = np.stack(np.meshgrid(_FRACTION, _FRACTION, indexing="ij"), axis=-1).reshape(-1, 2)
+
+
+def _look(
+    coordinates: Coordinates, t: Array, matrices: Array, directions: Array
+) -> tuple[Array, Array, Array]:
+    """Nodes' (u, v), and for each view homogeneous places in the image and projections."""
+    model = coordinates.model(t)
+    low, high = (jnp.asarray(side) for side in zip(*model.domain, strict=True))
+    uv = low + (high - low) * _GRID
+    position = model.position(uv[:, 0], uv[:, 1])
+    seen = jnp.einsum("vij,nj->vni", matrices[:, :, :3], position) + matrices[:, None, :, 3]
+    return uv, seen, (seen[..., :2] / seen[..., 2:]) @ directions.T
+
+
+def _view_supports(
+    coordinates: Coordinates, candidates: Array, matrices: Array, directions: Array
+) -> Array:
+    def one(t: Array) -> Array:
+        return jnp.max(_look(coordinates, t, matrices, directions)[2], axis=1)
+
+    return jax.lax.map(one, candidates, batch_size=64)
+
+
+def _view_improvement(
+    coordinates: Coordinates,
+    candidates: Array,
+    matrices: Array,
+    directions: Array,
+    reach: Array,
+    known: Array,
+    scale: Array,
+) -> tuple[Array, Array]:
+    """Damped Gauss-Newton steps on the support functions, and the scores before the last one."""
+
+    def step(t: Array, _: None) -> tuple[Array, Array]:
+        uv, seen, along = _look(coordinates, t, matrices, directions)
+        farthest = jnp.argmax(along, axis=1)  # (views, directions)
+        gap = jnp.max(along, axis=1) - reach
+        gap = jnp.where((known == 0) & (gap > 0), 0.0, gap) / scale[:, None]
+        place = jnp.take_along_axis(seen, farthest[..., None], axis=1)
+        across = jnp.sum(directions * place[..., :2] / place[..., 2:], axis=-1)
+        covectors = jnp.einsum("dk,vkj->vdj", directions, matrices[:, :2, :3])
+        covectors = (covectors - across[..., None] * matrices[:, None, 2, :3]) / place[..., 2:]
+        pulled = pull_back(
+            coordinates.model(t), uv[farthest].reshape(-1, 2), covectors.reshape(-1, 3)
+        )
+        slopes = coordinates.gather(pulled) * coordinates.slopes(t)
+        slopes = slopes / jnp.repeat(scale, len(directions))[:, None]
+        gap = gap.reshape(-1)
+        calm = 1 / (1 + gap**2)
+        matrix = slopes.T @ (calm[:, None] * slopes) + (_PRIOR + 0.3) * jnp.eye(len(t))
+        move = jnp.linalg.solve(matrix, slopes.T @ (calm * gap) + _PRIOR * t * coordinates.active)
+        return t - jnp.clip(move, -1.0, 1.0), jnp.mean(jnp.log1p(gap**2))
+
+    def one(t: Array) -> tuple[Array, Array]:
+        t, scores = jax.lax.scan(step, t, None, length=_STEPS)
+        return t, scores[-1]
+
+    return jax.lax.map(one, candidates, batch_size=32)
+
+
+_supports = Program(_view_supports)
+_improve = Program(_view_improvement)

@@ -1,0 +1,239 @@
+"""Silhouettes as the rounds need them: contours matched with the outline of a model."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from functools import cached_property
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import KDTree
+
+from petalfit.compilation import bucket, pad_to
+from petalfit.fitting import programs
+from petalfit.fitting.coordinates import Coordinates
+from petalfit.fitting.rounds import AbstractObserved, Account, Seen
+from petalfit.observations import Contour
+from petalfit.residuals import AbstractTerm, ContourDistance
+from petalfit.surfaces import AbstractSurface, Outline, outline
+
+# Places are matched by where they are and where their normals point: one radian weighs as much as this
+# fraction of the contour's size.
+_TURN = 0.025
+# Places of the outline that look for the contour, besides those of the contour that look for it.
+_BACK = 512
+# Distances far beyond this many pixels of an image of 256, or three times the typical one, hardly count.
+_KERNEL = 2.0 / 256
+# Neighbouring places of a contour err together: so many pixels count as one observation.
+CORRELATED = 2.0
+# Whatever the residuals say, a contour is not known better than this, in pixels.
+_FINEST = 0.02
+_THIN = 1.5  # pixels
+
+
+class Match(NamedTuple):
+    """Places of a contour and of an outline that belong together, in both directions.
+
+    Attributes:
+        uv: On the surface, shape (n, 2).
+        seen: Where that is in the image, shape (n, 2).
+        normal: Of the outline, from the contour; or of the contour, from the outline; shape (n, 2).
+        place: On the contour, shape (n, 2).
+        length: How much of the contour or outline a row stands for, times its weight; shape (n,).
+        forward: Whether a row began at the contour, shape (n,).
+        number: Which place of the outline a row has, shape (n,).
+    """
+
+    uv: Float[np.ndarray, "n 2"]
+    seen: Float[np.ndarray, "n 2"]
+    normal: Float[np.ndarray, "n 2"]
+    place: Float[np.ndarray, "n 2"]
+    length: Float[np.ndarray, " n"]
+    forward: Bool[np.ndarray, " n"]
+    number: Int[np.ndarray, " n"]
+
+    @property
+    def distance(self) -> Float[np.ndarray, " n"]:
+        """In pixels, positive where the outline lies outside of the contour."""
+        return np.sum(self.normal * (self.seen - self.place), axis=-1)
+
+
+@dataclasses.dataclass(frozen=True)
+class View:
+    """One silhouette's contour.
+
+    Attributes:
+        contour: The contour.
+        size: Of the target's contour, in pixels.
+    """
+
+    contour: Contour
+    size: float
+
+    @property
+    def turn(self) -> float:
+        """Pixels that one radian between normals weighs as much as."""
+        return _TURN * self.size
+
+    @property
+    def kernel(self) -> float:
+        """Pixels beyond which distances hardly count."""
+        return max(2.0, _KERNEL * self.size)
+
+    @cached_property
+    def tree(self) -> KDTree:
+        """Of the contour's places and normals."""
+        return KDTree(self.features(self.contour.place, self.contour.normal))
+
+    def features(self, place: np.ndarray, normal: np.ndarray) -> np.ndarray:
+        """What is compared in matching."""
+        return np.concatenate([place, self.turn * normal], axis=1)
+
+    def match(self, model: AbstractSurface) -> Match:
+        """Nearest places of the contour and the model's outline, in both directions."""
+        return self.matched(outline(model, self.contour.camera))
+
+    def matched(self, seen: Outline) -> Match:
+        """The same for an outline that is known."""
+        contour = self.contour
+        features = self.features(seen.place, seen.normal)
+        outlines = KDTree(features)
+        forth = np.asarray(outlines.query(self.tree.data)[1])
+        some = np.arange(len(features))[:: len(features) // _BACK]
+        _, back = self.tree.query(features[some])
+        share = len(features) / len(some)
+        # What is thinner than a pixel leaves no trace in a mask: there is nothing to look for.
+        place, normal = seen.place[some], seen.normal[some]
+        _, across = outlines.query(self.features(place, -normal))
+        width = np.linalg.norm(seen.place[across] - place, axis=-1)
+        thin = (width < _THIN) & (np.sum(seen.normal[across] * normal, axis=-1) < 0)
+        trust = np.where(thin, 0.0, contour.trust(place))
+        return Match(
+            np.concatenate([seen.uv[forth], seen.uv[some]]),
+            np.concatenate([seen.place[forth], place]),
+            np.concatenate([seen.normal[forth], contour.normal[back]]),
+            np.concatenate([contour.place, contour.place[back]]),
+            np.concatenate([contour.length, share * seen.length[some] * trust]),
+            np.arange(len(forth) + len(some)) < len(forth),
+            np.concatenate([forth, some]),
+        )
+
+    def like(self, place: np.ndarray, normal: np.ndarray, length: np.ndarray) -> View:
+        """A view that has another contour and the same camera, trust and sizes."""
+        length = length * self.contour.trust(place)
+        return View(
+            dataclasses.replace(self.contour, place=place, normal=normal, length=length), self.size
+        )
+
+    def noise(self, match: Match) -> float:
+        """Standard deviation of the contour's distances, in pixels, robustly."""
+        counts = match.forward & (match.length > 0)
+        return max(1.4826 * float(np.median(np.abs(match.distance[counts]))), _FINEST)
+
+    def chi2(self, match: Match) -> float:
+        """Comparable between models: n log of the mean squared distance, large ones tempered."""
+        tempered = self.kernel**2 * np.log1p((match.distance / self.kernel) ** 2)
+        squared = np.average(tempered, weights=match.length) + _FINEST**2
+        return match.length.sum() / (2 * CORRELATED) * float(np.log(squared))
+
+    def calm(self, match: Match, noise: float) -> Float[np.ndarray, " n"]:
+        """Weights of a heavy-tailed (Cauchy) distribution: what a wrong match has to say is little."""
+        return 1 / (1 + (match.distance / max(3 * noise, self.kernel)) ** 2)
+
+
+@dataclasses.dataclass(frozen=True)
+class ObservedViews(AbstractObserved):
+    """All silhouettes of a fit together, so that their number changes no program but its size."""
+
+    views: tuple[View, ...]
+
+    @classmethod
+    def of(cls, contours: Sequence[Contour]) -> ObservedViews:
+        return cls(tuple(View(contour, contour.size) for contour in contours))
+
+    def look(self, model: AbstractSurface, term: AbstractTerm | None) -> ContourDistance:
+        parts = []
+        for view in self.views:
+            match = view.match(model)
+            noise = view.noise(match)
+            # Both directions tell the same: together they count once.
+            share = view.calm(match, noise) / (2 * CORRELATED)
+            parts.append(rows(view.contour, match, np.sqrt(match.length * share) / noise))
+        return padded(parts)
+
+    def information(
+        self, coordinates: Coordinates, t: np.ndarray, term: AbstractTerm
+    ) -> tuple[np.ndarray, float]:
+        assert isinstance(term, ContourDistance)
+        slopes = np.asarray(programs.contour_slopes(coordinates, t, term))
+        return slopes.T @ slopes, 1.0
+
+    def account(self, coordinates: Coordinates, t: np.ndarray, term: AbstractTerm) -> Account:
+        """With what pixels do to the score; see `petalfit.fitting.pixels`."""
+        from petalfit.fitting.pixels import pixel_errors
+
+        term = self.look(coordinates.model(t), None)
+        errors = tuple(pixel_errors(coordinates, t, view) for view in self.views)
+        information, _ = self.information(coordinates, t, term)
+        score = np.sum([error.score for error in errors], axis=0)
+        spread = np.sum([error.spread for error in errors], axis=0)
+        return Account(term, information, score, spread, errors)
+
+    def reconsider(self, coordinates: Coordinates, t: np.ndarray, account: Account) -> np.ndarray:
+        """What the picture that the target is says, once the bias is removed."""
+        from petalfit.fitting.pixels import repeated
+
+        pairs = zip(self.views, account.notes, strict=True)
+        return np.sum([repeated(coordinates, t, *pair) for pair in pairs], axis=0)
+
+    def seen(self, coordinates: Coordinates, t: np.ndarray, term: AbstractTerm) -> list[Seen]:
+        model, found = coordinates.model(t), []
+        for view in self.views:
+            match = view.match(model)
+            forward = match.forward
+            distance, weights = -match.distance[forward], match.length[forward]
+            chi2 = view.chi2(match)
+            found.append(Seen(distance, weights, view.noise(match), "px", chi2))
+        return found
+
+    def misfit(self, model: AbstractSurface) -> float:
+        """Mean over the views and both directions of log(1 + (d/kernel)²)."""
+        matches = [view.match(model) for view in self.views]
+        scores = [
+            np.average(np.log1p((match.distance / view.kernel) ** 2), weights=match.length)
+            for view, match in zip(self.views, matches, strict=True)
+        ]
+        return float(np.mean(scores))
+
+
+class Rows(NamedTuple):
+    """Residuals of one view; see `ContourDistance`."""
+
+    uv: Float[np.ndarray, "n 2"]
+    plane: Float[np.ndarray, "n 4"]
+    depth: Float[np.ndarray, "n 4"]
+    root: Float[np.ndarray, " n"]
+
+
+def rows(contour: Contour, match: Match, root: np.ndarray) -> Rows:
+    """The residuals of matched places, each with the root of its weight over the noise."""
+    matrix = contour.camera.matrix
+    across = np.sum(match.normal * match.place, axis=-1, keepdims=True)
+    plane = match.normal @ matrix[:2] - across * matrix[2]
+    return Rows(match.uv, plane, np.tile(matrix[2], (len(plane), 1)), root)
+
+
+def padded(parts: Sequence[Rows]) -> ContourDistance:
+    """All rows one after the other, and copies of the first without weight up to a bucketed size."""
+    uv, plane, depth, root = map(np.concatenate, zip(*parts, strict=True))
+    size = bucket(len(root))
+    return ContourDistance(
+        uv=jnp.asarray(pad_to(uv, size)),
+        plane=jnp.asarray(pad_to(plane, size)),
+        depth=jnp.asarray(pad_to(depth, size)),
+        root=jnp.asarray(np.concatenate([root, np.zeros(size - len(root))])),
+        sigma=jnp.asarray(1.0),
+    )
