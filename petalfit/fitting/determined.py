@@ -20,6 +20,7 @@ from petalfit.surfaces import AbstractSurface
 DETERMINED = 0.3
 # A parameter that would be determined if the others were known: below a quarter of the above.
 _ALONE = DETERMINED / 2
+_SIZES = ("a_x", "b_y")
 _RIBS = ("rib_frequency", "rib_amplitude")
 
 
@@ -48,7 +49,7 @@ def known(
 ) -> Bool[np.ndarray, " p"]:
     """Whether each parameter is determined, rival rib frequencies considered."""
     found = known_alone(ends[0], names, declared)
-    for name in _doubtful_ribs(names, found, ends):
+    for name in [*_doubtful_ribs(names, found, ends), *_doubtful_sizes(names, ends)]:
         found[names.index(name)] = False
     return found
 
@@ -90,6 +91,16 @@ def _doubtful_ribs(names: Sequence[str], found: np.ndarray, ends: Sequence[Settl
     return ["rib_frequency"] if not found[names.index(ribs[-1])] else []
 
 
+def _doubtful_sizes(names: Sequence[str], ends: Sequence[Settled]) -> list[str]:
+    """The scale and the lengths that go with it, if another scale explains the view almost as well."""
+    if "scale" not in names:
+        return []
+    best = float(ends[0].model.scale)
+    if any(abs(float(end.model.scale) / best - 1) > 0.03 for end in rivals(ends)):
+        return [name for name in ("scale", *_SIZES) if name in names]
+    return []
+
+
 def combinations(
     end: Settled,
     names: Sequence[str],
@@ -102,6 +113,9 @@ def combinations(
     alone = np.diag(information) > _ALONE**-2
     eigenvalues, vectors = np.linalg.eigh(information)
     sentences = []
+    if "scale" in names and not found[names.index("scale")]:
+        sizes = [name for name in _SIZES if name in names and not found[names.index(name)]]
+        sentences += [f"{name} and scale are determined only as a product" for name in sizes]
     for direction in vectors[:, eigenvalues < DETERMINED**-2].T:
         members = np.flatnonzero(~found & alone & (np.abs(direction) > 0.1)).tolist()
         if len(members) < 2:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from petalfit.components import PeonyPetal, bare, parameters
+from petalfit.components import PeonyPetal, Posed, bare, parameters
 from petalfit.fitting import programs
 from petalfit.fitting.cloud import ObservedCloud, fit_cloud, rib_starts, with_all_points
 from petalfit.fitting.coordinates import Coordinates, with_values
@@ -36,6 +36,9 @@ _ROUNDS = 20
 _TOLERANCE = 2e-2
 # Rivals of the best rib frequency are followed if the periodogram prefers it by less than this in χ².
 _CLEAR_LEAD = 50.0
+# How many scales are tried for a mask without a camera, and the lengths that go with the scale.
+_SCALES = 25
+_SIZES = ("a_x", "b_y")
 # Coordinates closer than this are one outline.
 _SAME = 0.3
 
@@ -214,6 +217,8 @@ def _smooth(joint: Joint, held: Coordinates) -> Iterator[Start]:
             break
     found.sort(key=lambda start: start[0])
     promising = [model for misfit, model in found[:_FOLLOWED] if misfit < 3 * found[0][0] + _RIGHT]
+    if isinstance(held.template, Posed):
+        promising = _rescaled(joint, held, promising[0])
     ends = [joint.minimise(held, model).model for model in promising]
     ends.sort(key=joint.misfit)
     different: list[Float[np.ndarray, " p"]] = []
@@ -222,6 +227,25 @@ def _smooth(joint: Joint, held: Coordinates) -> Iterator[Start]:
         if all(np.max(np.abs(t - other)) > _SAME for other in different):
             different.append(t)
             yield f"outline {len(different)}", model
+
+
+def _rescaled(joint: Joint, held: Coordinates, model: AbstractSurface) -> list[AbstractSurface]:
+    """The same outline at other scales: nothing but the scallops of its tip tells them apart."""
+    lengths = [name for name in _SIZES if name in held.free]
+    found: list[tuple[float, AbstractSurface]] = []
+    for factor in np.geomspace(0.4, 2.5, _SCALES):
+        values = {name: float(getattr(model, name)) * factor for name in lengths}
+        typical = [parameters(model)[name].typical for name in lengths]
+        if not all(
+            0.8 * low < value < 1.25 * high
+            for value, (low, high) in zip(values.values(), typical, strict=True)
+        ):
+            continue
+        other = with_values(model, values | {"scale": float(model.scale) / factor})
+        other = joint.minimise(held, other, 4, 0.2).model
+        found.append((joint.misfit(other), other))
+    found.sort(key=lambda start: start[0])
+    return [other for _, other in found[: 2 * _FOLLOWED]] or [model]
 
 
 def _rib_basins(

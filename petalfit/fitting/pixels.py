@@ -26,9 +26,14 @@ _PICTURES = 32
 _RINGS = (193, 129)  # vertices of the mesh whose masks are made
 # Even a picture that repeats the target's errors does not repeat them all.
 _LEFT = 0.5
+# Residuals whose variance exceeds that of pictures by less than this fraction are the pixels' work.
+_NOISY = 0.15
+_MOST = 600  # places of a contour for the covariance of its noise
+_HALF = 1.177  # standard deviations at which a Gaussian falls to one half
 # What shows in fewer pixels of the contour than this is not resolved: its place is uncertain by half a
-# pixel in a binary mask and a tenth in one of coverage, and by more if it is smaller still.
-_RESOLVED = 10.0
+# pixel in a binary mask and a tenth in one of coverage, by more than the noise, and by more still if it
+# is smaller.
+_RESOLVED = 15.0
 _BLUR = {True: 0.5, False: 0.1}
 
 
@@ -98,7 +103,9 @@ def pixel_errors(
     likeness = float(np.clip(np.sum(calm * repeated * observed) / power, 0.0, 1.0))
     expected = np.mean([_variance(match) for match in others])
     excess = max(0.0, 1 - float(expected) / max(_variance(target), 1e-300))
-    spread = max(1 - likeness**2, _LEFT) * spread + excess * _long_run(scorer, target)
+    spread = max(1 - likeness**2, _LEFT) * spread
+    if excess > _NOISY:
+        spread = spread + _of_noise(scorer, target, excess)
     return PixelErrors(mean, spread + _unresolved(scorer, target), likeness, scorer.noise)
 
 
@@ -159,28 +166,50 @@ def _variance(match: Match) -> float:
     return float(np.median(np.abs(match.distance[counts]))) ** 2
 
 
-def _long_run(scorer: _Scorer, match: Match) -> Float[np.ndarray, "p p"]:
-    """Covariance of the score if the target's distances are noise that is correlated along the contour.
+def _of_noise(scorer: _Scorer, match: Match, excess: float) -> Float[np.ndarray, "p p"]:
+    """Covariance of the score by noise that is correlated along the contour.
 
-    The sum over all pairs of neighbours, those farther apart counting less (Newey and West, 1987).
+    Its correlation is taken as a Gaussian of the distance along the contour, as wide as that of the
+    target's distances. What the parameters have followed is missing in these, so that they are smaller
+    than the noise is: its variance is the one that would leave them.
+
+    Args:
+        scorer: The cost.
+        match: The target's.
+        excess: Which part of the residuals' variance is noise, and no work of the pixels.
     """
-    forward = match.forward
-    weights = 2 * scorer.weighted(match)[forward]
-    distance = match.distance[forward] - np.average(match.distance[forward], weights=weights)
-    calm = distance * np.sqrt(weights)
-    power = float(calm @ calm)
-    correlations = [float(calm[lag:] @ calm[:-lag]) / power for lag in range(1, len(calm) // 8)]
-    ends = np.flatnonzero(np.array(correlations) < 0.05)
-    reach = int(ends[0]) + 1 if len(ends) else len(correlations)
-    reach = max(4, 3 * reach)
-    parts = scorer.rows(match)[forward] * (weights * distance)[:, None]
-    total = parts.T @ parts
-    for lag in range(1, min(reach, len(parts) - 1)):
-        pairs = parts[lag:].T @ parts[:-lag]
-        total += (1 - lag / reach) * (pairs + pairs.T)
-    time = 1 + 2 * sum(correlations[: reach // 3])
-    effective = len(calm) / max(time, 1.0)
-    return total * effective / max(effective - total.shape[0], 0.2 * effective)
+    every = np.flatnonzero(match.forward)
+    every = every[:: -(-len(every) // _MOST)]
+    weights = 2 * scorer.weighted(match)[every]
+    slopes = scorer.rows(match)[every]
+    # Corners that the noise has rounded off are no measure of it.
+    distance = np.clip(match.distance[every], -3 * scorer.noise, 3 * scorer.noise)
+    calm = weights > 0
+    weights = weights * (np.sum(match.length[match.forward]) / np.sum(match.length[every]))
+    inverse = np.linalg.inv((weights[:, None] * slopes).T @ slopes + np.eye(slopes.shape[1]))
+    followed = slopes @ inverse @ (weights[:, None] * slopes).T
+    left = np.eye(len(every)) - followed
+    lag = np.abs(np.subtract.outer(np.arange(len(every)), np.arange(len(every))))
+    lag = np.minimum(lag, len(every) - lag)
+    width = _half_lag(distance, calm) / _HALF
+    noise = np.exp(-0.5 * (lag / width) ** 2)
+    residual = np.diag(left @ noise @ left.T)
+    variance = excess * np.sum(distance[calm] ** 2) / np.sum(residual[calm])
+    parts = weights[:, None] * slopes
+    return variance * parts.T @ noise @ parts
+
+
+def _half_lag(distance: np.ndarray, calm: np.ndarray) -> float:
+    """How many places apart the correlation of distances falls below one half."""
+    distance, before = np.where(calm, distance, 0.0), 1.0
+    power = float(np.mean(distance[calm] ** 2)) + 1e-300
+    for lag in range(1, len(distance) // 4):
+        pairs = max(int(np.count_nonzero(calm[lag:] & calm[:-lag])), 1)
+        here = float(distance[lag:] @ distance[:-lag]) / pairs / power
+        if here < 0.5:
+            return lag - 1 + (before - 0.5) / max(before - here, 1e-12)
+        before = here
+    return len(distance) / 4
 
 
 def _unresolved(scorer: _Scorer, match: Match) -> Float[np.ndarray, "p p"]:
@@ -189,9 +218,10 @@ def _unresolved(scorer: _Scorer, match: Match) -> Float[np.ndarray, "p p"]:
     total = power.sum(axis=0) + 1e-300
     pixels = total**2 / (np.sum(power**2, axis=0) + 1e-300)
     length = float(match.length[match.forward].mean())
-    blur = _BLUR[scorer.view.contour.binary] * (_RESOLVED / (pixels * length + 1e-9)) ** 2
+    blur = max(_BLUR[scorer.view.contour.binary], 1.5 * scorer.noise)
+    blur = blur * (_RESOLVED / (pixels * length + 1e-9)) ** 2
     # Pixels by which one unit of t moves what shows; the error in t is at most the typical range.
-    speed = np.sum(power * np.abs(scorer.rows(match)[match.forward]), axis=0) / total + 1e-300
+    speed = np.sum(power * np.abs(scorer.rows(match)[match.forward]), axis=0) / total + 1e-9
     weighted = (2 * scorer.weighted(match)[:, None] * scorer.rows(match))[match.forward]
     information = weighted.T @ scorer.rows(match)[match.forward]
-    return (information * np.minimum(blur / speed, 1.0) ** 2) @ information
+    return (information * np.where(blur < speed, blur / speed, 1.0) ** 2) @ information

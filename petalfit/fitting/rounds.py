@@ -171,10 +171,12 @@ def minimise(
         few = min(few, max_rounds - rounds)
         state = programs.solve(coordinates, tuple(terms), prior, t, whitening, few, tolerance)
         step, terms = np.asarray(state.t) - t, list(state.terms)
+        if every is not None and rounds >= _WHOLE_STEPS:
+            # Where matches jump to and fro, ever smaller steps end in the mean of the states.
+            step = step / (rounds - _WHOLE_STEPS + 2)
         whitening = float(state.shrunk) * whitening
         moved = float(np.max(np.abs(np.linalg.solve(whitening, step))))
-        # Where a match jumps to and fro, halved steps end between the two states.
-        t = t + (step if every is None or rounds < _WHOLE_STEPS else 0.5 * step)
+        t = t + step
         rounds += int(state.rounds)
         model = coordinates.model(t)
         if not moved > tolerance or rounds >= max_rounds:
