@@ -11,6 +11,7 @@ from .observations import Camera as Camera
 from .observations import PointCloud as PointCloud
 from .observations import Silhouette as Silhouette
 from .observations import TargetError as TargetError
+from .observations import read_cameras as read_cameras
 from .observations import read_transforms as read_transforms
 from .surfaces import AbstractDeformedSurface as AbstractDeformedSurface
 from .surfaces import AbstractSurface as AbstractSurface

@@ -1,19 +1,34 @@
 """`petalfit fit`: from a file to named parameters, a mesh and a report."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, UseAppendAction, arg
 
 from petalfit.cli.options import Quiet, require_noise, require_seed
-from petalfit.cli.status import NOT_CONVERGED, SUCCESS
+from petalfit.cli.status import NOT_CONVERGED, SUCCESS, require
 
-Target = Annotated[
-    Positional[Path],
+if TYPE_CHECKING:
+    from petalfit.observations import Camera, PointCloud, Silhouette
+
+Targets = Annotated[
+    Positional[tuple[Path, ...]],
     arg(
         metavar="TARGET",
         help="Point cloud (.ply .xyz .txt .csv .npy .npz) or mesh (.ply .obj .stl .glb .gltf), in the "
-        "frame and unit of the model: its length along +y from the plane y = 0, its width along x.",
+        "frame and unit of the model: its length along +y from the plane y = 0, its width along x. Or "
+        "mask (.png .tif), white where the petal is, or with an alpha channel; `petalfit mask` makes one "
+        "of a photo. Several targets are fitted together.",
+    ),
+]
+Cameras = Annotated[
+    UseAppendAction[tuple[Path, ...]],
+    arg(
+        name="camera",
+        metavar="CAMERA.json",
+        help="Camera of the mask, or repeated for each mask in turn; or one transforms.json of a NeRF "
+        "tool for all of them, by name. A single mask without one is a front "
+        "view of unknown scale.",
     ),
 ]
 Folder = Annotated[
@@ -44,37 +59,46 @@ Noise = Annotated[
         help="Standard deviation of the points, in their unit; estimated if not given.",
     ),
 ]
+Profiles = Annotated[
+    UseAppendAction[tuple[str, ...]],
+    arg(
+        metavar="NAME",
+        help="Parameter whose profile likelihood the report shows too; repeat it. Each takes ten fits.",
+    ),
+]
 Seed = Annotated[int, arg(metavar="S", help="Of the random choice of points to start with.")]
 
 
 def fit(
-    target: Target,
+    targets: Targets,
     out: Folder,
+    cameras: Cameras = (),
     free: Free = (),
     init: Init = None,
     noise: Noise = None,
+    profile: Profiles = (),
     seed: Seed = 0,
     quiet: Quiet = False,
 ) -> int:
-    """Recover the parameters of a petal from a scan."""
+    """Recover the parameters of a petal from scans and silhouettes."""
     if noise is not None:
         require_noise(noise, least="a positive number, or leave it out")
     require_seed(seed)
+    require(bool(targets), "there is no TARGET; give the file of a cloud, a mesh or a mask.")
     from petalfit.cli.compilation_cache import compilation_cache
     from petalfit.cli.console import fit_table, list_files, output, progress, summarise, warn
     from petalfit.cli.results import CONTENTS, check_folder, write_results, written_whole
-    from petalfit.observations import PointCloud
 
     check_folder(out)
     with progress(quiet) as show:
-        show(f"reading {target}")
-        cloud = PointCloud.load(target)
+        show(f"reading {', '.join(map(str, targets))}")
+        read = _read(targets, cameras)
         with compilation_cache() as compiled:
             from petalfit.fitting import FitResult, fit_petal
 
             again = "" if compiled else " (compiling, which only the first fit needs)"
             result = fit_petal(
-                cloud,
+                read if len(read) > 1 else read[0],
                 free=_names(free),
                 init=None if init is None else FitResult.load(init).model,
                 noise=noise,
@@ -82,6 +106,8 @@ def fit(
                 throw=False,
                 progress=lambda text: show(text + again),
             )
+            for name in _names(profile) or []:
+                result = result.with_profile(name, progress=show)
             show(f"writing {out}")
             with written_whole(out) as folder:
                 write_results(result, folder)
@@ -89,9 +115,50 @@ def fit(
         console = output()
         console.print(fit_table(result))
         console.print(summarise(result, noise), soft_wrap=True)
+        for name, found in result.profiles.items():
+            low, high = found.interval()
+            console.print(f"{name}: 95 % profile interval {low:.6g} to {high:.6g}", soft_wrap=True)
         list_files(out, CONTENTS)
     warn(result)
     return SUCCESS if result.converged else NOT_CONVERGED
+
+
+def _read(targets: tuple[Path, ...], cameras: tuple[Path, ...]) -> "list[PointCloud | Silhouette]":
+    """Every file as what it holds, masks with their cameras."""
+    from petalfit.observations import IMAGE_SUFFIXES, PointCloud, Silhouette
+
+    masks = [path for path in targets if path.suffix.lower() in IMAGE_SUFFIXES]
+    require(
+        bool(masks) or not cameras, "--camera is for masks, and there is none among the targets."
+    )
+    seen = dict(zip(masks, _cameras(masks, cameras), strict=True))
+    return [
+        Silhouette.load(path, seen[path]) if path in seen else PointCloud.load(path)
+        for path in targets
+    ]
+
+
+def _cameras(masks: list[Path], files: tuple[Path, ...]) -> "list[Camera | None]":
+    """A camera for each mask, or None for all of them."""
+    from petalfit.observations import Camera, read_cameras
+
+    if not files:
+        return [None] * len(masks)
+    found = [read_cameras(path) for path in files]
+    if len(found) == 1 and isinstance(found[0], dict):
+        by_name = {Path(name).stem: camera for name, camera in found[0].items()}
+        missing = [str(path) for path in masks if path.stem not in by_name]
+        require(
+            not missing,
+            f"{files[0]} has no camera for {', '.join(missing)}; it has those of {', '.join(by_name)}.",
+        )
+        return [by_name[path.stem] for path in masks]
+    require(
+        len(found) == len(masks) and all(isinstance(camera, Camera) for camera in found),
+        f"{len(files)} --camera for {len(masks)} masks: give one for each, in the same order, or a "
+        "single transforms.json.",
+    )
+    return [camera for camera in found if isinstance(camera, Camera)]
 
 
 def _names(free: tuple[str, ...]) -> list[str] | None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -13,6 +14,7 @@ from petalfit.components import PeonyPetal, Posed, parameters
 from petalfit.fitting.cloud import fit_cloud
 from petalfit.fitting.joint import fit_joint
 from petalfit.fitting.result import FitError, FitResult
+from petalfit.fitting.rounds import Settled
 from petalfit.fitting.summary import summarise
 from petalfit.fitting.targets import as_targets
 from petalfit.observations import Camera, Contour, PointCloud, Silhouette, TargetError
@@ -76,65 +78,97 @@ def fit(
     targets = as_targets(target, camera)
     template, names = _configuration(model, free, init)
     _check_options(pose, loss, noise)
-    clouds = [part for part in targets if isinstance(part, PointCloud)]
-    views = [part for part in targets if isinstance(part, Silhouette)]
-    for cloud in clouds:
-        _check_frame(cloud, template)
-    progress = progress or (lambda text: None)
-    with jax.enable_x64(True):
-        if not views:
-            (cloud,) = clouds if len(clouds) == 1 else [_together(clouds)]
-            targets = [cloud]
-            weights = np.ones(len(cloud)) if cloud.weights is None else cloud.weights
-            _check_count(weights, names)
-            ends = fit_cloud(
-                template,
-                names,
-                cloud.points,
-                weights,
-                noise=noise,
-                from_template=init is not None,
-                seed=seed,
-                progress=progress,
-            )
-        else:
-            contours = [Contour.of(view) for view in views]
-            posed, names = _without_camera(template, names, targets, contours)
-            for contour in contours:
-                _check_view(contour, posed)
-            ends = fit_joint(
-                posed,
-                names,
-                clouds,
-                contours,
-                noise=noise,
-                from_template=init is not None,
-                seed=seed,
-                progress=progress,
-            )
-            template = posed
-            targets = [*clouds, *views]
-    result = summarise(template, names, targets, ends, noise)
+    fitted = run(
+        template,
+        names,
+        targets,
+        noise=noise,
+        from_template=init is not None,
+        seed=seed,
+        progress=progress or (lambda text: None),
+    )
+    result = summarise(*fitted, noise)
     if throw and not result.converged:
         raise FitError(result.message, result)
     return result
 
 
-def _together(clouds: list[PointCloud]) -> PointCloud:
-    """Several clouds of one noise as one."""
-    weights = [np.ones(len(c)) if c.weights is None else c.weights for c in clouds]
-    return PointCloud(np.concatenate([c.points for c in clouds]), weights=np.concatenate(weights))
+class Fitted(NamedTuple):
+    """What a fit ended with.
+
+    Attributes:
+        template: The component that it started from, perhaps posed.
+        names: The free parameters, a pose's included.
+        targets: Clouds first.
+        ends: What each start reached, the best first; observations in the order of the targets.
+    """
+
+    template: AbstractSurface
+    names: tuple[str, ...]
+    targets: list[PointCloud | Silhouette]
+    ends: list[Settled]
+
+
+def run(
+    template: AbstractSurface,
+    names: tuple[str, ...],
+    targets: list[PointCloud | Silhouette],
+    *,
+    noise: float | None,
+    from_template: bool,
+    seed: int,
+    progress: Callable[[str], None],
+    placed: Mapping[str, float] | None = None,
+    glance_only: bool = False,
+) -> Fitted:
+    """A fit from checked options to where its starts ended.
+
+    Args:
+        template: A component; values to start from if `from_template`.
+        names: Its free parameters.
+        targets: All that was seen.
+        noise: Of the clouds; estimated if None.
+        from_template: Start at the template instead of searching.
+        seed: Of random choices.
+        progress: Called with a line of text whenever a stage of the fit begins.
+        placed: For a mask without a camera, the scale and the shifts to start from, in pixels.
+        glance_only: Leave out what silhouettes need besides the solution: its bias and its errors.
+    """
+    clouds = [part for part in targets if isinstance(part, PointCloud)]
+    views = [part for part in targets if isinstance(part, Silhouette)]
+    for cloud in clouds:
+        _check_frame(cloud, template)
+    options: Any = {
+        "noise": noise,
+        "from_template": from_template,
+        "seed": seed,
+        "progress": progress,
+    }
+    with jax.enable_x64(True):
+        if len(clouds) == 1 and not views:
+            (cloud,) = clouds
+            weights = np.ones(len(cloud)) if cloud.weights is None else cloud.weights
+            _check_count(weights, names)
+            assert isinstance(template, PeonyPetal)
+            ends = fit_cloud(template, names, cloud.points, weights, **options)
+            return Fitted(template, names, targets, ends)
+        contours = [Contour.of(view) for view in views]
+        if any(view.camera is None for view in views):
+            template = _without_camera(template, targets, contours, placed or {})
+            names = (*names, *Posed.names)
+        for contour in contours:
+            _check_view(contour, template)
+        ends = fit_joint(template, names, clouds, contours, **options, glance_only=glance_only)
+        return Fitted(template, names, [*clouds, *views], ends)
 
 
 def _without_camera(
     template: AbstractSurface,
-    names: tuple[str, ...],
     targets: list[PointCloud | Silhouette],
     contours: list[Contour],
-) -> tuple[AbstractSurface, tuple[str, ...]]:
+    placed: Mapping[str, float],
+) -> Posed:
     """For a mask without a camera, the component in an unknown place of its image."""
-    if not any(isinstance(part, Silhouette) and part.camera is None for part in targets):
-        return template, names
     if len(targets) > 1:
         raise TargetError(
             "a mask without a camera can only be fitted alone: where the petal lies in its image is not "
@@ -142,14 +176,17 @@ def _without_camera(
         )
     (contour,) = contours
     low, high = contour.place.min(axis=0), contour.place.max(axis=0)
-    posed = Posed(
+    middle, unit = 0.5 * (low + high), float(high[1] - low[1]) / _TYPICAL_LENGTH
+    return Posed(
         template,
         # From the petal's axes to the image's: x right, y down, z away from the viewer.
         np.diag([1.0, -1.0, -1.0]),
-        np.append(0.5 * (low + high), 0.0),
-        (high[1] - low[1]) / _TYPICAL_LENGTH,
+        np.append(middle, 0.0),
+        unit,
+        placed.get("scale", unit) / unit,
+        (placed.get("shift_x", middle[0]) - middle[0]) / unit,
+        (placed.get("shift_y", middle[1]) - middle[1]) / unit,
     )
-    return posed, (*names, *Posed.names)
 
 
 def _configuration(

@@ -25,7 +25,7 @@ from petalfit.fitting.rounds import (
 from petalfit.fitting.solve import Prior
 from petalfit.fitting.view_start import search
 from petalfit.fitting.views import CORRELATED, ObservedViews, View, padded, rows
-from petalfit.observations import Contour, PointCloud
+from petalfit.observations import Contour, PointCloud, TargetError
 from petalfit.surfaces import AbstractSurface, outline
 
 _CANDIDATES = 20
@@ -65,7 +65,7 @@ class Joint:
     @property
     def observed(self) -> list[AbstractObserved]:
         """All of it, clouds first."""
-        return [*self.clouds, self.views]
+        return [*self.clouds, self.views] if self.views.views else [*self.clouds]
 
     def minimise(
         self,
@@ -81,7 +81,7 @@ class Joint:
 
     def misfit(self, model: AbstractSurface) -> float:
         """For a choice between starts: logarithms of squared distances, small where it follows."""
-        return self.views.misfit(model) + sum(cloud.misfit(model) for cloud in self.clouds)
+        return sum(part.misfit(model) for part in self.observed)
 
     def follow(self, label: str, model: AbstractSurface, *, held: tuple[str, ...] = ()) -> Ended:
         """A start's end, with some parameters held."""
@@ -109,6 +109,7 @@ def fit_joint(
     from_template: bool,
     seed: int,
     progress: Progress,
+    glance_only: bool = False,
 ) -> list[Settled]:
     """Fit a component to silhouettes, and to clouds in its own frame.
 
@@ -116,11 +117,12 @@ def fit_joint(
         template: Values of the fixed parameters; of all parameters if `from_template`.
         free: Names of the parameters to fit.
         clouds: May be none.
-        contours: At least one.
+        contours: May be none if there are clouds.
         noise: σ of the clouds, or None to estimate it.
         from_template: Start at the template instead of searching.
         seed: Of random choices.
         progress: Called with a line of text when a stage begins.
+        glance_only: Stop where the solver stops: biases stay, and errors are not computed.
 
     Returns:
         What each start reached, the best first, its observations in the order clouds, contours. Call
@@ -135,6 +137,8 @@ def fit_joint(
     else:
         ends = [*_from_clouds(joint, clouds, noise, seed), *_from_outlines(joint)]
     best, *others = sorted(ends, key=lambda ended: ended.end.chi2)
+    if glance_only:
+        return [best.end, *(other.end for other in others)]
 
     def end(
         model: AbstractSurface, polished: Polished | None, prior: Prior | None = None
@@ -164,6 +168,11 @@ def _from_clouds(
     points = [cloud.points for cloud in clouds]
     weights = [np.ones(len(c)) if c.weights is None else c.weights for c in clouds]
     if sum(map(np.count_nonzero, weights)) < len(coordinates.free) + 1:
+        if clouds and not joint.views.views:
+            raise TargetError(
+                f"{sum(map(len, clouds))} points cannot determine {len(coordinates.free)} free "
+                "parameters: give more points, or name fewer parameters in free."
+            )
         return
     template = coordinates.template
     assert isinstance(template, PeonyPetal)
@@ -184,6 +193,8 @@ def _from_clouds(
 def _from_outlines(joint: Joint) -> Iterator[Ended]:
     """Ends without ribs, and with those that show in the silhouettes or the clouds."""
     coordinates = joint.coordinates
+    if not joint.views.views:
+        return
     template, free = coordinates.template, coordinates.free
     held = coordinates
     if isinstance(bare(template), PeonyPetal) and "rib_amplitude" in free:
@@ -232,6 +243,7 @@ def _smooth(joint: Joint, held: Coordinates) -> Iterator[Start]:
 def _rescaled(joint: Joint, held: Coordinates, model: AbstractSurface) -> list[AbstractSurface]:
     """The same outline at other scales: nothing but the scallops of its tip tells them apart."""
     lengths = [name for name in _SIZES if name in held.free]
+    assert isinstance(model, Posed)
     found: list[tuple[float, AbstractSurface]] = []
     for factor in np.geomspace(0.4, 2.5, _SCALES):
         values = {name: float(getattr(model, name)) * factor for name in lengths}
@@ -241,7 +253,7 @@ def _rescaled(joint: Joint, held: Coordinates, model: AbstractSurface) -> list[A
             for value, (low, high) in zip(values.values(), typical, strict=True)
         ):
             continue
-        other = with_values(model, values | {"scale": float(model.scale) / factor})
+        other = with_values(model, values | {"scale": model.scale / factor})
         other = joint.minimise(held, other, 4, 0.2).model
         found.append((joint.misfit(other), other))
     found.sort(key=lambda start: start[0])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+from collections.abc import Callable
 from statistics import NormalDist
 from typing import TYPE_CHECKING, Any
 
@@ -73,6 +74,41 @@ class Start:
     delta_chi2: float
 
 
+@dataclasses.dataclass(frozen=True)
+class Profile:
+    """A profile likelihood: what the best fit costs with one parameter held.
+
+    Attributes:
+        values: Of the parameter, ascending.
+        delta_chi2: How much worse χ² is there than at the best of them.
+    """
+
+    values: tuple[float, ...]
+    delta_chi2: tuple[float, ...]
+
+    def interval(self, level: float = 0.95) -> tuple[float, float]:
+        """Where Δχ² stays below the quantile of χ² with one degree of freedom; ±inf where it never rises.
+
+        Args:
+            level: Probability that the interval covers the truth, in (0, 1).
+        """
+        limit = _quantile(level) ** 2
+        cost, best = np.array(self.delta_chi2), int(np.argmin(self.delta_chi2))
+        ends = []
+        for side, never in ((slice(best, None, -1), -np.inf), (slice(best, None), np.inf)):
+            values, costs = np.array(self.values)[side], cost[side]
+            above = np.flatnonzero(costs > limit)
+            if not len(above):
+                ends.append(never)
+                continue
+            k = int(above[0])
+            # Δχ² is nearly a parabola: its root is nearly straight.
+            low, high = np.sqrt(costs[k - 1]), np.sqrt(costs[k])
+            share = (np.sqrt(limit) - low) / (high - low)
+            ends.append(float(values[k - 1] + share * (values[k] - values[k - 1])))
+        return ends[0], ends[1]
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Agreement:
     """One target beside the fitted surface.
@@ -125,6 +161,7 @@ class FitResult:
         warnings: Reasons not to trust the result blindly; empty if there are none.
         steps: Rounds of the final solve.
         starts: What each start reached, best first.
+        profiles: Profile likelihoods by parameter, as far as they were asked for (`with_profile`).
     """
 
     model: AbstractSurface
@@ -141,6 +178,7 @@ class FitResult:
     warnings: tuple[str, ...]
     steps: int
     starts: tuple[Start, ...]
+    profiles: dict[str, Profile] = dataclasses.field(default_factory=dict)
 
     @property
     def noise(self) -> float:
@@ -192,13 +230,31 @@ class FitResult:
         Returns:
             (low, high) by name; (−inf, inf) where the data cannot tell.
         """
-        if not 0 < level < 1:
-            raise ValueError(f"level must lie between 0 and 1; received {level}")
-        reach = float(NormalDist().inv_cdf(0.5 + 0.5 * level))
+        reach = _quantile(level)
         return {
             name: (self.values[name] - reach * error, self.values[name] + reach * error)
             for name, error in self.stderr.items()
         }
+
+    def with_profile(
+        self, name: str, points: int = 11, progress: Callable[[str], None] | None = None
+    ) -> FitResult:
+        """The result with the profile likelihood of a parameter, which takes a fit for every point.
+
+        It tells what the covariance cannot: limits that are not symmetric, and a second minimum.
+
+        Args:
+            name: A free parameter.
+            points: How many values are held, over 5 standard errors to either side, or over the typical
+                range of what is not determined.
+            progress: Called with a line of text for every point.
+
+        Raises:
+            TargetError: The parameter was not fitted.
+        """
+        from petalfit.fitting.profile import with_profile
+
+        return with_profile(self, name, points, progress)
 
     def mesh(self, resolution: tuple[int, int] = (65, 65)) -> trimesh.Trimesh:
         """The fitted surface as a triangle mesh with UVs, in the target's frame."""
@@ -254,6 +310,7 @@ class FitResult:
         }
         fields["pose"] = dataclasses.asdict(self.pose)
         fields["starts"] = [dataclasses.asdict(start) for start in self.starts]
+        fields["profiles"] = {name: dataclasses.asdict(p) for name, p in self.profiles.items()}
         fields["agreements"] = [
             {
                 "target": target_to_json(part.target),
@@ -285,6 +342,10 @@ class FitResult:
                 "covariance": np.array(fields["covariance"], float),
                 "warnings": tuple(fields["warnings"]),
                 "starts": tuple(Start(**start) for start in fields["starts"]),
+                "profiles": {
+                    name: Profile(tuple(p["values"]), tuple(p["delta_chi2"]))
+                    for name, p in fields["profiles"].items()
+                },
                 "agreements": tuple(
                     Agreement(
                         target_from_json(part["target"]),
@@ -296,6 +357,13 @@ class FitResult:
                 ),
             }
         )
+
+
+def _quantile(level: float) -> float:
+    """Standard deviations to either side that a Gaussian stays within with this probability."""
+    if not 0 < level < 1:
+        raise ValueError(f"level must lie between 0 and 1; received {level}")
+    return float(NormalDist().inv_cdf(0.5 + 0.5 * level))
 
 
 _NOT_FINITE = {"inf": np.inf, "-inf": -np.inf, "nan": np.nan}

@@ -74,6 +74,10 @@ class AbstractObserved(abc.ABC):
         """Fisher information of t, and the noise that it was computed with."""
 
     @abc.abstractmethod
+    def misfit(self, model: AbstractSurface) -> float:
+        """For a choice between starts: a mean logarithm of squared distances."""
+
+    @abc.abstractmethod
     def account(
         self, coordinates: Coordinates, t: Float[np.ndarray, " p"], term: AbstractTerm
     ) -> Account:

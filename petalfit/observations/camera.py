@@ -182,8 +182,8 @@ class Camera:
         Raises:
             TargetError: It is no camera.
         """
-        fields = dict(content)
         try:
+            fields = dict(content)
             fields["shape"] = tuple(fields["shape"])
             if "pixels_per_unit" in fields:
                 return cls.orthographic(**fields)
@@ -195,7 +195,9 @@ class Camera:
                 translation=_finite(fields["translation"], (3,), "translation"),
                 shape=_valid_shape(fields["shape"]),
             )
-        except (KeyError, TypeError) as error:
+        except (KeyError, TypeError, ValueError) as error:
+            if isinstance(error, TargetError):
+                raise
             raise TargetError(
                 f"this is no camera ({error}); expected rotation, pixels_per_unit, centre and shape, or "
                 "K, rotation, translation and shape."

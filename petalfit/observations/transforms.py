@@ -1,4 +1,4 @@
-"""The cameras of a `transforms.json`, as NeRF tools write it (instant-ngp, nerfstudio, Blender)."""
+"""Files of cameras: one as JSON, or a NeRF tool's `transforms.json` (instant-ngp, nerfstudio)."""
 
 from __future__ import annotations
 
@@ -53,6 +53,24 @@ def read_transforms(path: str | os.PathLike[str]) -> dict[str, Camera]:
     if not cameras:
         raise TargetError(f"{path} has no frames.")
     return cameras
+
+
+def read_cameras(path: str | os.PathLike[str]) -> Camera | dict[str, Camera]:
+    """One camera from its JSON (see `Camera.from_json`), or those of a `transforms.json` by image.
+
+    Raises:
+        TargetError: The file cannot be read, or is neither.
+    """
+    try:
+        content = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise TargetError(f"{path} cannot be read as cameras: {error}") from None
+    if isinstance(content, dict) and "frames" in content:
+        return read_transforms(path)
+    try:
+        return Camera.from_json(content)
+    except TargetError as error:
+        raise TargetError(f"{path}: {error}") from None
 
 
 def _camera(fields: dict[str, Any], image: Path) -> Camera:

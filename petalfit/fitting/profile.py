@@ -1,0 +1,117 @@
+"""Profile likelihoods: how much worse a target is explained with a parameter held elsewhere."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+
+from petalfit.components import bare, parameters
+from petalfit.fitting.fit import run
+from petalfit.fitting.peony_start import RIBS
+from petalfit.fitting.result import FitResult, Profile
+from petalfit.fitting.rounds import Settled
+from petalfit.fitting.views import CORRELATED
+from petalfit.observations import TargetError
+
+_REACH = 5.0  # standard errors to either side
+_NEAR = 12.0  # χ² above the minimum up to which a parabola is fitted
+_TRIMMED = 0.05  # of a contour
+_INSIDE = 1e-6  # of the bounds
+
+
+def with_profile(
+    result: FitResult, name: str, points: int, progress: Callable[[str], None] | None
+) -> FitResult:
+    """See `FitResult.with_profile`."""
+    own = parameters(result.model)
+    if name not in result.names or name not in own:
+        raise TargetError(
+            f"{name!r} was not fitted; profiles can be had of "
+            f"{', '.join(n for n in result.names if n in own)}."
+        )
+    if points < 5:
+        raise ValueError(f"a profile needs at least 5 points; received {points}")
+    tell = progress or (lambda text: None)
+    low, high = _range(result, name)
+    values = np.linspace(low, high, points)
+    # Ribs that do not show would follow the noise, differently at every point.
+    hidden = [n for n in RIBS if n in result.names and n != name and not result.identifiable[n]]
+    start = result.model
+    if "rib_amplitude" in hidden:
+        start = dataclasses.replace(start, rib_amplitude=0.0)
+    rest = tuple(n for n in result.names if n in own and n != name and n not in hidden)
+    if not rest:
+        raise TargetError(f"{name} is the only free parameter; its interval says all there is.")
+    found = np.full(points, np.inf)
+    # Outwards from the fitted value, and back: each point starts at its neighbours' ends, and the
+    # better one counts.
+    middle = int(np.argmin(np.abs(values - result.values[name])))
+    for side in (range(middle, points), range(middle - 1, -1, -1)):
+        model = start
+        for k in (*side, *side[-2::-1]):
+            tell(f"profile of {name}: {values[k]:.4g}")
+            model = dataclasses.replace(model, **{name: float(values[k])})
+            ends = run(
+                model,
+                rest,
+                [part.target for part in result.agreements],
+                noise=None,
+                from_template=True,
+                seed=0,
+                progress=lambda text: None,
+                placed=result.values,
+                glance_only=True,
+            ).ends
+            model, found[k] = bare(ends[0].model), min(found[k], _cost(ends[0]))
+    cost = found - np.min(found)
+    values, cost = _adjusted(result, name, values, cost)
+    profile = Profile(tuple(values.tolist()), tuple(cost.tolist()))
+    return dataclasses.replace(result, profiles=result.profiles | {name: profile})
+
+
+def _adjusted(
+    result: FitResult, name: str, values: np.ndarray, cost: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The profile around the fitted value, which has its bias removed, and in true units.
+
+    Distances of a contour are correlated, so that their sum of squares is no χ², and pixels shift
+    their minimum. Minimum and curvature are brought to those of the fit and its covariance (Chandler and
+    Bate, 2007, doi:10.1093/biomet/asm015).
+    """
+    error = result.stderr[name]
+    if not np.isfinite(error) or all(part.unit == "length" for part in result.agreements):
+        return values, cost
+    near = cost <= max(_NEAR, np.sort(cost)[4])
+    curvature, slope, _ = np.polyfit(values[near] - result.values[name], cost[near], 2)
+    if not curvature > 0:
+        return values, cost
+    return values + 0.5 * slope / curvature, cost / (curvature * error**2)
+
+
+def _cost(end: Settled) -> float:
+    """χ²; of contours as smooth as can be had, from the contour's side and without the farthest places.
+
+    These jump from one part of the outline to another.
+    """
+    total = 0.0
+    for seen in end.seen:
+        if seen.unit == "length":
+            total += seen.chi2
+            continue
+        squares, weights = seen.distance**2, seen.weights
+        kept = squares <= np.quantile(squares[weights > 0], 1 - _TRIMMED)
+        mean = np.average(squares[kept], weights=weights[kept])
+        total += float(np.sum(seen.weights) / CORRELATED * np.log(mean))
+    return total
+
+
+def _range(result: FitResult, name: str) -> tuple[float, float]:
+    """Some standard errors to either side, or the typical range of what is not determined."""
+    declared = parameters(result.model)[name]
+    value, reach = result.values[name], _REACH * result.stderr[name]
+    low, high = (value - reach, value + reach) if np.isfinite(reach) else declared.typical
+    bottom, top = declared.bounds
+    margin = _INSIDE * (top - bottom)
+    return max(low, bottom + margin), min(high, top - margin)
