@@ -39,6 +39,14 @@ Folder = Annotated[
         "are written or none.",
     ),
 ]
+ModelName = Annotated[
+    str,
+    arg(
+        name="model",
+        metavar="MODEL",
+        help="Component to fit; `petalfit parameters MODEL` says what it has. Clouds take PeonyPetal.",
+    ),
+]
 Free = Annotated[
     UseAppendAction[tuple[str, ...]],
     arg(
@@ -73,6 +81,7 @@ def fit(
     targets: Targets,
     out: Folder,
     cameras: Cameras = (),
+    model: ModelName = "PeonyPetal",
     free: Free = (),
     init: Init = None,
     noise: Noise = None,
@@ -87,9 +96,11 @@ def fit(
     require(bool(targets), "there is no TARGET; give the file of a cloud, a mesh or a mask.")
     from petalfit.cli.compilation_cache import compilation_cache
     from petalfit.cli.console import fit_table, list_files, output, progress, summarise, warn
+    from petalfit.cli.parameters import component
     from petalfit.cli.results import CONTENTS, check_folder, write_results, written_whole
 
     check_folder(out)
+    kind = component(model)
     with progress(quiet) as show:
         show(f"reading {', '.join(map(str, targets))}")
         read = _read(targets, cameras)
@@ -99,6 +110,7 @@ def fit(
             again = "" if compiled else " (compiling, which only the first fit needs)"
             result = fit_petal(
                 read if len(read) > 1 else read[0],
+                model=kind,
                 free=_names(free),
                 init=None if init is None else FitResult.load(init).model,
                 noise=noise,

@@ -2,13 +2,33 @@
 
 import dataclasses
 import inspect
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
 from petalfit.cli.status import SUCCESS, require
 
+if TYPE_CHECKING:
+    from petalfit.surfaces import AbstractSurface
+
 Model = Annotated[Positional[str], arg(metavar="MODEL", help="Name of a component.")]
+
+
+def component(name: str) -> "type[AbstractSurface]":
+    """The component of that name, or a sentence with all there are."""
+    from petalfit import components
+    from petalfit.surfaces import AbstractSurface
+
+    # Each from its own declaration, so that nothing here has to know them.
+    kinds = {
+        name: kind
+        for name, kind in vars(components).items()
+        if inspect.isclass(kind)
+        and issubclass(kind, AbstractSurface)
+        and kind is not components.Posed
+    }
+    require(name in kinds, f"there is no model {name!r}; the models are {', '.join(kinds)}.")
+    return kinds[name]
 
 
 def parameters(model: Model = "PeonyPetal") -> int:
@@ -16,18 +36,10 @@ def parameters(model: Model = "PeonyPetal") -> int:
     from rich import box
     from rich.table import Table
 
-    from petalfit import components
     from petalfit.cli.console import output
-    from petalfit.surfaces import AbstractSurface
+    from petalfit.components import parameters as declared
 
-    # Each from its own declaration, so that nothing here has to know them.
-    kinds = {
-        name: kind
-        for name, kind in vars(components).items()
-        if inspect.isclass(kind) and issubclass(kind, AbstractSurface)
-    }
-    require(model in kinds, f"there is no model {model!r}; the models are {', '.join(kinds)}.")
-    kind = kinds[model]
+    kind = component(model)
     defaults = {field.name: field.default for field in dataclasses.fields(kind)}
     table = Table(box=box.SIMPLE_HEAD, header_style="bold", pad_edge=False, padding=(0, 1, 0, 0))
     for heading in ("name", "symbol", "unit"):
@@ -35,7 +47,7 @@ def parameters(model: Model = "PeonyPetal") -> int:
     table.add_column("default", justify="right")
     table.add_column("range\ntypical", justify="right")
     table.add_column("meaning")
-    for name, parameter in components.parameters(kind).items():
+    for name, parameter in declared(kind).items():
         unit = "" if parameter.unit == "1" else parameter.unit
         meaning = parameter.meaning + (" (fixed unless freed)" if parameter.fixed else "")
         spans = (f"{low:g} to {high:g}" for low, high in (parameter.bounds, parameter.typical))

@@ -7,8 +7,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from petalfit.components.parameter import parameter
-from petalfit.surfaces import AbstractDeformedSurface, Domain, Rectangle, Scalar
+from petalfit.surfaces import AbstractDeformedSurface, Domain, Rectangle, Scalar, parameter
 
 _PI = jnp.pi
 

@@ -8,8 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from petalfit.components.parameter import parameter
-from petalfit.surfaces import AbstractSurface, Domain, Scalar
+from petalfit.surfaces import AbstractSurface, Domain, Scalar, parameter
 
 
 class Posed(AbstractSurface):

@@ -18,10 +18,13 @@ from petalfit.surfaces import AbstractSurface
 # A parameter is determined if its standard error is below this many standard deviations of its
 # typical range, taken as uniform.
 DETERMINED = 0.3
-# A parameter that would be determined if the others were known: below a quarter of the above.
-_ALONE = DETERMINED / 2
-_SIZES = ("a_x", "b_y")
+_ALONE = DETERMINED / 2  # the same, if the others were known
 _RIBS = ("rib_frequency", "rib_amplitude")
+
+
+def sizes(model: AbstractSurface) -> list[str]:
+    """Parameters that grow with the model: lengths that are positive."""
+    return [n for n, p in parameters(model).items() if p.unit == "length" and p.bounds[0] > 0]
 
 
 def typical_spread(
@@ -42,6 +45,14 @@ def known_alone(
     inverse = np.linalg.inv(end.information * scales + identity)
     posterior = np.sqrt(np.diag(inverse @ (end.spread * scales + identity) @ inverse))
     return posterior < DETERMINED / np.sqrt(1 + DETERMINED**2)
+
+
+def _known_if_others_were(
+    end: Settled, names: Sequence[str], declared: Mapping[str, Parameter]
+) -> Bool[np.ndarray, " p"]:
+    """Whether each parameter would clearly be determined if all others were known."""
+    spread = typical_spread(names, declared)
+    return np.diag(end.information) * spread**2 > _ALONE**-2
 
 
 def known(
@@ -97,7 +108,7 @@ def _doubtful_sizes(names: Sequence[str], ends: Sequence[Settled]) -> list[str]:
         return []
     best = float(ends[0].model.scale)
     if any(abs(float(end.model.scale) / best - 1) > 0.03 for end in rivals(ends)):
-        return [name for name in ("scale", *_SIZES) if name in names]
+        return [name for name in ("scale", *sizes(ends[0].model)) if name in names]
     return []
 
 
@@ -110,12 +121,13 @@ def combinations(
     """Sentences on parameters that only a combination is known of, from the information matrix."""
     spread = typical_spread(names, declared)
     information = end.information * np.outer(spread, spread)
-    alone = np.diag(information) > _ALONE**-2
+    alone = _known_if_others_were(end, names, declared)
     eigenvalues, vectors = np.linalg.eigh(information)
     sentences = []
     if "scale" in names and not found[names.index("scale")]:
-        sizes = [name for name in _SIZES if name in names and not found[names.index(name)]]
-        sentences += [f"{name} and scale are determined only as a product" for name in sizes]
+        seen = [n for n, yes in zip(names, ~found & alone, strict=True) if yes]
+        lengths = [n for n in sizes(end.model) if n in seen]
+        sentences += [f"{name} and scale are determined only as a product" for name in lengths]
     for direction in vectors[:, eigenvalues < DETERMINED**-2].T:
         members = np.flatnonzero(~found & alone & (np.abs(direction) > 0.1)).tolist()
         if len(members) < 2:
@@ -166,9 +178,11 @@ def stay_at_the_start(
     unknown = {name for name, yes in zip(free, found, strict=True) if not yes}
     start = {name: getattr(template, name) for name in free if name in unknown}
     if rest := {name: value for name, value in start.items() if name not in _RIBS}:
-        model = with_values(end.model, rest)
-        root = np.isin(free, [*rest]).astype(float)
-        prior = Prior(coordinates.inverse(model), root)
+        centre = coordinates.inverse(with_values(end.model, rest))
+        prior = Prior(centre, np.isin(free, [*rest]).astype(float))
+        # What is known in combination with others must not leave where they explain the data.
+        alone = dict(zip(free, _known_if_others_were(end, free, parameters(template)), strict=True))
+        model = with_values(end.model, {n: v for n, v in rest.items() if not alone[n]})
         end = dataclasses.replace(again(model, None, prior), chi2=end.chi2)
     # Ribs that do not show need not be in the fit to have values in the result.
     ribs = {name: value for name, value in start.items() if name in _RIBS}

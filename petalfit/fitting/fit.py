@@ -138,6 +138,11 @@ def run(
     views = [part for part in targets if isinstance(part, Silhouette)]
     for cloud in clouds:
         _check_frame(cloud, template)
+    if clouds and not isinstance(template, PeonyPetal):
+        raise TargetError(
+            f"a {type(template).__name__} can be fitted to silhouettes only; clouds are fitted by "
+            "PeonyPetal."
+        )
     options: Any = {
         "noise": noise,
         "from_template": from_template,
@@ -193,15 +198,18 @@ def _configuration(
     model: type[AbstractSurface] | AbstractSurface,
     free: Iterable[str] | None,
     init: AbstractSurface | None,
-) -> tuple[PeonyPetal, tuple[str, ...]]:
+) -> tuple[AbstractSurface, tuple[str, ...]]:
     """The template and the names of its free parameters, checked."""
     kind = model if inspect.isclass(model) else type(model)
-    if kind is not PeonyPetal:
-        raise TypeError(f"model must be PeonyPetal, a class or an instance; received {model!r}")
+    if not (inspect.isclass(kind) and issubclass(kind, AbstractSurface) and parameters(kind)):
+        raise TypeError(
+            f"model must be a component with declared parameters, a class or an instance; received "
+            f"{model!r}"
+        )
     declared = parameters(kind)
     if init is not None and type(init) is not kind:
         raise TargetError(f"init must be a {kind.__name__}; received a {type(init).__name__}.")
-    template = init if init is not None else PeonyPetal() if inspect.isclass(model) else model
+    template = init if init is not None else model() if inspect.isclass(model) else model
     if free is None:
         names = tuple(name for name, p in declared.items() if not p.fixed)
     else:
@@ -221,7 +229,6 @@ def _configuration(
                 f"{name} = {value:g} of the start lies outside its range ({low:g}, {high:g}); give "
                 "an init inside it."
             )
-    assert isinstance(template, PeonyPetal)
     return template, names
 
 

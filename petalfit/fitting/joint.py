@@ -12,7 +12,7 @@ from petalfit.components import PeonyPetal, Posed, bare, parameters
 from petalfit.fitting import programs
 from petalfit.fitting.cloud import ObservedCloud, fit_cloud, rib_starts, with_all_points
 from petalfit.fitting.coordinates import Coordinates, with_values
-from petalfit.fitting.determined import DETERMINED, stay_at_the_start, typical_spread
+from petalfit.fitting.determined import DETERMINED, sizes, stay_at_the_start, typical_spread
 from petalfit.fitting.peony_start import FREQUENCIES, RIBS, RibBasin, rib_basins, rib_waves
 from petalfit.fitting.rounds import (
     AbstractObserved,
@@ -36,9 +36,8 @@ _ROUNDS = 20
 _TOLERANCE = 2e-2
 # Rivals of the best rib frequency are followed if the periodogram prefers it by less than this in χ².
 _CLEAR_LEAD = 50.0
-# How many scales are tried for a mask without a camera, and the lengths that go with the scale.
+# How many scales are tried for a mask without a camera.
 _SCALES = 25
-_SIZES = ("a_x", "b_y")
 # Coordinates closer than this are one outline.
 _SAME = 0.3
 
@@ -242,7 +241,7 @@ def _smooth(joint: Joint, held: Coordinates) -> Iterator[Start]:
 
 def _rescaled(joint: Joint, held: Coordinates, model: AbstractSurface) -> list[AbstractSurface]:
     """The same outline at other scales: nothing but the scallops of its tip tells them apart."""
-    lengths = [name for name in _SIZES if name in held.free]
+    lengths = [name for name in sizes(model) if name in held.free]
     assert isinstance(model, Posed)
     found: list[tuple[float, AbstractSurface]] = []
     for factor in np.geomspace(0.4, 2.5, _SCALES):

@@ -9,12 +9,14 @@ import math
 import numpy as np
 from jaxtyping import Float
 
+from petalfit.fitting.result import Profile
 from petalfit.report.colour import IGNORED, MASK, NEGATIVE, POSITIVE, ZERO, css, diverging
 from petalfit.report.overlay import Overlay
 from petalfit.report.raster import png
 from petalfit.report.rounding import fixed, plain, round_up, ticks
 from petalfit.report.scene import Picture, Scene
 
+_LIMIT = 3.84  # χ² of one degree of freedom, 95 %
 DENSITY = 2  # pixels of a picture per pixel of the page
 
 
@@ -187,6 +189,35 @@ def histogram_chart(
     label = "histogram of distances in units of the noise"
     drawing = _svg(width, height, label, content, enlarged=1.25)
     return drawing, int(np.count_nonzero(np.abs(distances) > reach))
+
+
+def profile_chart(profile: Profile, name: str, value: float) -> str:
+    """A profile likelihood, the fitted value, and the limit of the 95 % interval."""
+    width, height, left, bottom, tallest = 300.0, 170.0, 34.0, 132.0, 12.0
+    right = width - 12
+    x = np.array(profile.values)
+    low, high = float(x.min()), float(x.max())
+
+    def place(values: np.ndarray, costs: np.ndarray) -> np.ndarray:
+        across = left + (values - low) / (high - low) * (right - left)
+        down = bottom - np.minimum(costs, tallest) / tallest * (bottom - 8)
+        return np.stack([across, down], axis=-1)
+
+    limit, middle = place(x, np.full(len(x), _LIMIT)), place(np.full(2, value), np.zeros(2))[0]
+    content = [
+        _line(left, bottom, right, bottom),
+        _line(limit[0, 0], limit[0, 1], limit[-1, 0], limit[-1, 1], "track"),
+        _text(left - 5, limit[0, 1] + 4, "3.84", "end"),
+        _text(left - 5, bottom + 4, "0", "end"),
+        _path(place(x, np.array(profile.delta_chi2)), "gauss"),
+        f'<circle class="dot" cx="{middle[0]:.1f}" cy="{middle[1]:.1f}" r="3.5"/>',
+    ]
+    values = ticks(low, high, 5)
+    for tick, label in zip(values, _tick_labels(values), strict=True):
+        at = float(place(np.array([tick]), np.zeros(1))[0, 0])
+        content += [_line(at, bottom, at, bottom + 4), _text(at, bottom + 17, label)]
+    content.append(_text((left + right) / 2, height - 4, name))
+    return _svg(width, height, f"profile likelihood of {name}", content, enlarged=1.25)
 
 
 def range_chart(

@@ -16,7 +16,13 @@ from petalfit.fitting import result as results
 from petalfit.fitting.result import Agreement, FitResult
 from petalfit.observations import PointCloud, Silhouette
 from petalfit.observations.atomic import atomic_path
-from petalfit.report.charts import histogram_chart, map_chart, overlay_chart, view_chart
+from petalfit.report.charts import (
+    histogram_chart,
+    map_chart,
+    overlay_chart,
+    profile_chart,
+    view_chart,
+)
 from petalfit.report.colour import IGNORED, POINT, css
 from petalfit.report.overlay import Overlay
 from petalfit.report.rounding import count, listed, plain
@@ -60,6 +66,7 @@ def _page(result: FitResult) -> str:
         parameter_table(result),
         _table_notes(result),
         *_pictures(result),
+        *_profiles(result),
         '<div class="pair">',
         _correlations(result),
         _provenance(result),
@@ -268,6 +275,21 @@ def _histogram(part: Agreement) -> str:
         f"(bars), and the Gaussian that noise alone would give (line).{outside}</figcaption>"
         "</figure>"
     )
+
+
+def _profiles(result: FitResult) -> Iterator[str]:
+    if not result.profiles:
+        return
+    yield "<h2>Profile likelihoods</h2>"
+    yield (
+        '<p class="soft">How much worse the target is explained (Δχ²) with the parameter held, all '
+        "others fitted anew; the dot is the fitted value, and below the line lies the 95 % interval.</p>"
+    )
+    drawings = (
+        f"<figure>{profile_chart(profile, name, result.values[name])}</figure>"
+        for name, profile in result.profiles.items()
+    )
+    yield f'<div class="pair">{"".join(drawings)}</div>'
 
 
 def _share(drawn: int, total: int) -> str:

@@ -3,6 +3,9 @@
 from petalfit.surfaces.deformation import AbstractDeformedSurface as AbstractDeformedSurface
 from petalfit.surfaces.outline import Outline as Outline
 from petalfit.surfaces.outline import outline as outline
+from petalfit.surfaces.parameter import Parameter as Parameter
+from petalfit.surfaces.parameter import parameter as parameter
+from petalfit.surfaces.parameter import parameters as parameters
 from petalfit.surfaces.shapes import Cylinder as Cylinder
 from petalfit.surfaces.shapes import Ellipsoid as Ellipsoid
 from petalfit.surfaces.shapes import Rectangle as Rectangle

@@ -3,26 +3,43 @@
 from __future__ import annotations
 
 import math
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from petalfit.surfaces.parameter import parameter
 from petalfit.surfaces.surface import AbstractSurface, Domain, Scalar
+
+
+def _size(default: float, symbol: str, meaning: str) -> Any:
+    """A length of a shape, of whatever size."""
+    return parameter(
+        default,
+        symbol=symbol,
+        unit="length",
+        bounds=(0.01, 500.0),
+        typical=(1.0, 40.0),
+        meaning=meaning,
+    )
 
 
 class Rectangle(AbstractSurface):
     """The flat petal before deformation, Eq. 7 with Δx = Δy = Δg = 0: (a_x u, b_y v, c_z).
 
-    Attributes:
-        a_x: Width along x, in the unit of length, positive.
-        b_y: Length along y, positive.
-        c_z: Height of the plane (the paper's "section distance").
+    c_z is the paper's "section distance".
     """
 
-    a_x: Scalar
-    b_y: Scalar
-    c_z: Scalar = 0.0
+    a_x: Scalar = _size(10.0, "a_x", "width along x")
+    b_y: Scalar = _size(20.0, "b_y", "length along y")
+    c_z: Scalar = parameter(
+        0.0,
+        symbol="c_z",
+        unit="length",
+        bounds=(-200.0, 200.0),
+        typical=(-5.0, 5.0),
+        meaning="height of the plane",
+    )
     domain: ClassVar[Domain] = Domain(u=(-0.5, 0.5), v=(0.0, 1.0))
     regular: ClassVar[bool] = True
 
@@ -31,15 +48,10 @@ class Rectangle(AbstractSurface):
 
 
 class Cylinder(AbstractSurface):
-    """Eq. 1: (r cos u, h v, r sin u), open at both ends, its axis along y.
+    """Eq. 1: (r cos u, h v, r sin u), open at both ends, its axis along y."""
 
-    Attributes:
-        r: Radius, in the unit of length, positive.
-        h: Height, positive.
-    """
-
-    r: Scalar
-    h: Scalar
+    r: Scalar = _size(5.0, "r", "radius")
+    h: Scalar = _size(20.0, "h", "height")
     domain: ClassVar[Domain] = Domain(u=(0.0, 2 * math.pi), v=(0.0, 1.0))
     regular: ClassVar[bool] = True
     orientation: ClassVar[float] = -1.0  # Eq. 1 runs so that ∂u × ∂v points to the axis
@@ -49,17 +61,11 @@ class Cylinder(AbstractSurface):
 
 
 class Ellipsoid(AbstractSurface):
-    """Eq. 3 with free half axes: (r_x cos u cos v, r_y sin u, r_z cos u sin v), poles on the y axis.
+    """Eq. 3 with free half axes: (r_x cos u cos v, r_y sin u, r_z cos u sin v), poles on the y axis."""
 
-    Attributes:
-        r_x: Half axis along x, in the unit of length, positive.
-        r_y: Half axis along y, positive; the paper has 3 r_x.
-        r_z: Half axis along z, positive.
-    """
-
-    r_x: Scalar
-    r_y: Scalar
-    r_z: Scalar
+    r_x: Scalar = _size(5.0, "r_x", "half axis along x")
+    r_y: Scalar = _size(15.0, "r_y", "half axis along y; the paper has 3 r_x")
+    r_z: Scalar = _size(5.0, "r_z", "half axis along z; the paper has r_x")
     domain: ClassVar[Domain] = Domain(u=(-math.pi / 2, math.pi / 2), v=(0.0, 2 * math.pi))
 
     def position(self, u: Array, v: Array) -> Array:

@@ -12,6 +12,7 @@ from petalfit.surfaces.programs import grid_positions
 from petalfit.surfaces.surface import AbstractSurface
 
 RESOLUTION = (257, 129)
+_GRID = 2.0**-20  # pixels
 
 
 def silhouette(
@@ -65,7 +66,12 @@ def rings(grid: Float[np.ndarray, "n m 2"]) -> list[np.ndarray]:
 
     edges, xy = rims_and_folds(grid), grid.reshape(-1, 2)
     lines = np.asarray(shapely.linestrings(xy[np.stack([edges.start, edges.end], axis=-1)]))
-    lines = np.asarray(shapely.get_parts(shapely.node(shapely.multilinestrings(lines))))
+    try:
+        lines = shapely.node(shapely.multilinestrings(lines))
+    except shapely.errors.GEOSException:
+        # Where a seam lies on itself but for rounding, only a grid helps.
+        lines = shapely.unary_union(lines, grid_size=_GRID)
+    lines = np.asarray(shapely.get_parts(lines))
     cells = shapely.get_parts(shapely.polygonize(lines))
     inside = shapely.get_coordinates(shapely.point_on_surface(cells))
     covered = sheets(inside, xy, edges) > 0

@@ -2,9 +2,11 @@
 
 from petalfit.synthetic.case import Case as Case
 from petalfit.synthetic.case import make as make
+from petalfit.synthetic.case import make_masks as make_masks
 from petalfit.synthetic.files import check_cases as check_cases
 from petalfit.synthetic.files import read_case as read_case
 from petalfit.synthetic.files import write_case as write_case
 from petalfit.synthetic.files import write_cases as write_cases
 from petalfit.synthetic.random_petal import random_petal as random_petal
 from petalfit.synthetic.recipes import RECIPES as RECIPES
+from petalfit.synthetic.sight import Sight as Sight

@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from petalfit.components import PeonyPetal
-from petalfit.observations import PointCloud
+from petalfit.observations import PointCloud, Silhouette
+from petalfit.synthetic.sight import Sight
 
 # Coordinates are rounded to this many decimals: the last bits of a surface's points depend on the
 # processor and on jax, and files must not. At 1e-6 the rounding is far below any noise.
@@ -33,6 +34,7 @@ class Case:
         strays: How many of the points, the last ones, are scattered uniformly over one and a half
             times the bounding box instead of lying near the surface.
         suffix: Of the cloud's file; ".npz" holds float32, everything else doubles.
+        sights: Masks; a case of masks alone has no points.
     """
 
     name: str
@@ -44,12 +46,18 @@ class Case:
     keep: tuple[tuple[float, float, float], float] | None = None
     strays: int = 0
     suffix: str = ".ply"
+    sights: tuple[Sight, ...] = ()
 
     def __post_init__(self) -> None:
-        if not 0 <= self.strays < self.points:
+        if not 0 <= self.strays < self.points and not (self.sights and self.points == 0):
             raise ValueError(
                 f"{self.strays} strays of {self.points} points: some must be true ones"
             )
+
+
+def make_masks(case: Case) -> list[Silhouette]:
+    """The masks of a case, in the order of its sights."""
+    return [sight.mask(case.model, case.seed + number) for number, sight in enumerate(case.sights)]
 
 
 def make(case: Case) -> PointCloud:

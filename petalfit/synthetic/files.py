@@ -1,4 +1,4 @@
-"""Cases as files: a folder each with cloud and truth, and one manifest of them all.
+"""Cases as files: a folder each with cloud, masks and truth, and one manifest of them all.
 
 Everything is written so that the same recipe gives the same bytes on every machine.
 """
@@ -13,14 +13,16 @@ import tempfile
 import zipfile
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from petalfit.components import PeonyPetal
-from petalfit.observations import PointCloud
+from petalfit.observations import Camera, PointCloud, Silhouette, read_cameras
 from petalfit.observations.atomic import atomic_path
-from petalfit.synthetic.case import Case, make
+from petalfit.synthetic.case import Case, make, make_masks
 from petalfit.synthetic.recipes import RECIPES
+from petalfit.synthetic.sight import Sight
 
 MANIFEST = "manifest.json"
 CASES = "cases"
@@ -31,7 +33,7 @@ def write_cases(folder: Path, recipes: Iterable[Case] = RECIPES) -> list[Path]:
     """Makes all cases and the manifest.
 
     Args:
-        folder: Gets `cases/<name>/cloud.*`, `cases/<name>/truth.json` and `manifest.json`.
+        folder: Gets `cases/<name>/` with the files of `write_case`, and `manifest.json`.
         recipes: What to make.
 
     Returns:
@@ -41,7 +43,7 @@ def write_cases(folder: Path, recipes: Iterable[Case] = RECIPES) -> list[Path]:
     for case in recipes:
         place = folder / CASES / case.name
         place.mkdir(parents=True, exist_ok=True)
-        files = write_case(case, make(case), place)
+        files = write_case(case, make(case) if case.points else None, place)
         written += files
         digests = {path.relative_to(folder).as_posix(): _sha256(path) for path in files}
         entries.append(_truth(case) | {"files": digests})
@@ -49,11 +51,23 @@ def write_cases(folder: Path, recipes: Iterable[Case] = RECIPES) -> list[Path]:
     return [*written, folder / MANIFEST]
 
 
-def write_case(case: Case, cloud: PointCloud, folder: Path) -> list[Path]:
-    """Writes one case into a folder that exists: `cloud.*` and `truth.json`, for `read_case`."""
-    files = [folder / f"cloud{case.suffix}", folder / TRUTH]
-    _write_cloud(cloud, files[0])
-    _write_json(_truth(case), files[1])
+def write_case(case: Case, cloud: PointCloud | None, folder: Path) -> list[Path]:
+    """Writes one case into a folder that exists, for `read_case`.
+
+    Returns:
+        `cloud.*`, `mask-1.png` with `camera-1.json` and so on, as far as there are any, `truth.json`.
+    """
+    files = []
+    if cloud is not None:
+        files.append(folder / f"cloud{case.suffix}")
+        _write_cloud(cloud, files[0])
+    for number, (sight, mask) in enumerate(zip(case.sights, make_masks(case), strict=True), 1):
+        camera = folder / f"camera-{number}.json"
+        mask.save(folder / f"mask-{number}.png")
+        _write_json(sight.camera_json(), camera)
+        files += [folder / f"mask-{number}.png", camera]
+    files.append(folder / TRUTH)
+    _write_json(_truth(case), files[-1])
     return files
 
 
@@ -87,14 +101,27 @@ def check_cases(folder: Path, recipes: Iterable[Case] = RECIPES) -> list[str]:
     return wrong
 
 
-def read_case(folder: Path) -> tuple[Case, PointCloud]:
-    """One case from its folder: what it was made from, and its cloud."""
+def read_case(folder: Path) -> tuple[Case, list[PointCloud | Silhouette]]:
+    """One case from its folder: what it was made from, and its targets, the cloud first."""
     truth = json.loads((folder / TRUTH).read_text(encoding="utf-8"))
     truth["model"] = PeonyPetal(**truth.pop("parameters"))
     if truth["keep"] is not None:
         truth["keep"] = (tuple(truth["keep"]["normal"]), truth["keep"]["offset"])
+    truth["sights"] = tuple(map(_sight, truth["sights"]))
     case = Case(**truth)
-    return case, PointCloud.load(folder / f"cloud{case.suffix}")
+    targets: list[PointCloud | Silhouette] = []
+    if case.points:
+        targets.append(PointCloud.load(folder / f"cloud{case.suffix}"))
+    for number in range(1, len(case.sights) + 1):
+        camera = read_cameras(folder / f"camera-{number}.json")
+        assert isinstance(camera, Camera)
+        targets.append(Silhouette.load(folder / f"mask-{number}.png", camera))
+    return case, targets
+
+
+def _sight(fields: dict[str, Any]) -> Sight:
+    """A sight from its JSON, in which tuples are lists."""
+    return Sight(**{name: tuple(x) if isinstance(x, list) else x for name, x in fields.items()})
 
 
 def _truth(case: Case) -> dict[str, object]:
@@ -104,6 +131,7 @@ def _truth(case: Case) -> dict[str, object]:
     truth["parameters"] = {name: float(value) for name, value in vars(case.model).items()}
     if case.keep is not None:
         truth["keep"] = {"normal": case.keep[0], "offset": case.keep[1]}
+    truth["sights"] = [dataclasses.asdict(sight) for sight in case.sights]
     return truth
 
 

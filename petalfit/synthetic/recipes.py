@@ -7,10 +7,15 @@ import numpy as np
 from petalfit.components import PeonyPetal
 from petalfit.synthetic.case import Case
 from petalfit.synthetic.random_petal import random_petal
+from petalfit.synthetic.sight import Sight
 
 
 def _petal(seed: int) -> PeonyPetal:
     return random_petal(np.random.default_rng(seed))
+
+
+_OBLIQUE = (0.6, -0.8, 1.2)
+_MIDDLE = (0.0, 12.0, 0.0)
 
 
 RECIPES: tuple[Case, ...] = (
@@ -34,5 +39,45 @@ RECIPES: tuple[Case, ...] = (
             rib_amplitude=0.15, midrib_height=1.0, tip_curl=3.0,
         ),
         1500, 0.05, 18,
+    ),
+    Case(
+        "mask-front", "shows a_x, b_y and c, and nothing else", _petal(21), 0, 0.0, 21,
+        sights=(Sight((0.0, 0.0, 1.0), _MIDDLE, 4.5),),
+    ),
+    Case(
+        "mask-oblique", "one view from which all but the ribs can be told", _petal(22), 0, 0.0, 22,
+        sights=(Sight(_OBLIQUE, _MIDDLE, 4.5),),
+    ),
+    Case(
+        "mask-coverage", "the same view with anti-aliased edges", _petal(22), 0, 0.0, 22,
+        sights=(Sight(_OBLIQUE, _MIDDLE, 4.5, kind="coverage"),),
+    ),
+    Case(
+        "mask-ribs", "an arched petal from its tip: ribs shape the outline",
+        PeonyPetal(
+            a_x=15.0, b_y=36.0, c_z=0.2, c=0.5, dx=0.3, dy=4.5, rib_frequency=17.0,
+            rib_amplitude=0.45, midrib_height=1.5, tip_curl=0.5,
+        ),
+        0, 0.0, 23, sights=(Sight((0.0, 1.0, 0.05), (0.0, 12.0, 0.0), 8.0),),
+    ),
+    Case(
+        "masks-three", "three views of one petal", _petal(24), 0, 0.0, 24,
+        sights=(
+            Sight(_OBLIQUE, _MIDDLE, 4.0),
+            Sight((-1.0, 0.2, 0.8), _MIDDLE, 4.0),
+            Sight((0.0, 0.0, 1.0), _MIDDLE, 4.0),
+        ),
+    ),
+    Case(
+        "joint", "half a cloud, and one mask", _petal(15), 750, 0.05, 15,
+        keep=((1.0, 0.0, 0.0), 0.0), sights=(Sight(_OBLIQUE, _MIDDLE, 3.6),),
+    ),
+    Case(
+        "mask-cropped", "the tip lies outside of the image", _petal(25), 0, 0.0, 25,
+        sights=(Sight(_OBLIQUE, (0.0, 4.0, 0.0), 6.5),),
+    ),
+    Case(
+        "mask-noisy", "an edge cut out by hand, off by one pixel", _petal(26), 0, 0.0, 26,
+        sights=(Sight(_OBLIQUE, _MIDDLE, 4.5, edge=1.0),),
     ),
 )  # fmt: skip

@@ -7,7 +7,7 @@ from typing import Any
 
 import equinox as eqx
 
-from petalfit.surfaces import AbstractSurface
+from petalfit.surfaces.surface import AbstractSurface
 
 _KEY = "petalfit.parameter"
 

@@ -1,0 +1,81 @@
+"""Masks of a petal as a camera would give them, or a careless pair of scissors."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+
+from petalfit.observations import Camera, Silhouette
+from petalfit.surfaces import AbstractSurface, coverage, outline_rings
+
+_FINER = 4  # times the resolution on which distances from the edge are measured
+# Rotations and places are rounded: their last bits depend on the processor, and files must not.
+_DECIMALS = 7
+
+
+@dataclasses.dataclass(frozen=True)
+class Sight:
+    """An orthographic view of a petal.
+
+    Attributes:
+        eye: Direction to the camera from the place that it looks at.
+        target: What it looks at, in the petal's frame.
+        pixels_per_unit: Scale of the image.
+        shape: Rows and columns of the image.
+        kind: "binary" or "coverage".
+        edge: Standard deviation of the mask's edge, in pixels, smooth along it; 0 for none.
+    """
+
+    eye: tuple[float, float, float]
+    target: tuple[float, float, float]
+    pixels_per_unit: float
+    shape: tuple[int, int] = (256, 256)
+    kind: str = "binary"
+    edge: float = 0.0
+
+    def camera_json(self) -> dict[str, Any]:
+        """Arguments of `Camera.orthographic`, rounded."""
+        place = np.add(self.eye, self.target)
+        camera = Camera.look_at(
+            place, self.target, self.shape, pixels_per_unit=self.pixels_per_unit
+        )
+        return {
+            "rotation": np.round(camera.rotation, _DECIMALS).tolist(),
+            "pixels_per_unit": self.pixels_per_unit,
+            "centre": np.round(camera.matrix[:2, 3], _DECIMALS).tolist(),
+            "shape": list(self.shape),
+        }
+
+    def mask(self, surface: AbstractSurface, seed: int) -> Silhouette:
+        """What is seen of a surface; the seed is that of the edge's noise."""
+        camera = Camera.from_json(self.camera_json())
+        rings = outline_rings(surface, camera)
+        seen = coverage(rings, self.shape)
+        if self.edge:
+            return Silhouette(_displaced(rings, self.shape, self.edge, seed), camera)
+        return Silhouette(seen >= 0.5 if self.kind == "binary" else seen, camera)
+
+
+def _displaced(
+    rings: list[np.ndarray], shape: tuple[int, int], sigma: float, seed: int
+) -> np.ndarray:
+    """The mask whose edge is displaced along its normal by a smooth random field, its largest piece."""
+    from scipy import ndimage
+
+    fine = (
+        coverage([_FINER * ring for ring in rings], (_FINER * shape[0], _FINER * shape[1])) >= 0.5
+    )
+    inside, outside = np.empty((2, *fine.shape))
+    ndimage.distance_transform_edt(fine, distances=inside)
+    ndimage.distance_transform_edt(~fine, distances=outside)
+    distance = (inside - outside).reshape(shape[0], _FINER, shape[1], _FINER)
+    distance = distance.mean(axis=(1, 3)) / _FINER
+    width = 3.0
+    field = ndimage.gaussian_filter(np.random.default_rng(seed).standard_normal(shape), width)
+    # Smoothing leaves 1/(2 √π width) of white noise's standard deviation.
+    mask = distance + sigma * 2 * math.sqrt(math.pi) * width * field > 0
+    labels, _ = ndimage.label(mask)  # pyright: ignore[reportGeneralTypeIssues]
+    return labels == np.argmax(np.bincount(labels.ravel())[1:]) + 1
