@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from statistics import NormalDist
 from typing import TYPE_CHECKING, Any
 
@@ -27,6 +27,8 @@ VERSION = 2
 # A rival whose χ² is worse by less than this is one. By chance alone, the best of the some 200
 # frequencies that ribs could have leads by 2 log 200.
 CLEAR_LEAD = 20.0
+# Standard errors between two ends from which they are different.
+_APART = 3.0
 
 
 class FitError(RuntimeError):
@@ -72,6 +74,27 @@ class Start:
     values: dict[str, float]
     rms: float
     delta_chi2: float
+
+
+def rivals(
+    starts: tuple[Start, ...], stderr: Mapping[str, float], declared: Mapping[str, Parameter]
+) -> tuple[Start, ...]:
+    """Starts almost as good as the first that differ from it.
+
+    By some standard errors of what is determined, or by a part of the typical range of what is not.
+    """
+
+    def apart(start: Start, name: str) -> float:
+        error = stderr[name]
+        if not np.isfinite(error):
+            error = float(np.ptp(declared[name].typical)) / 12**0.5 / 10
+        return abs(start.values[name] - starts[0].values[name]) / max(error, 1e-300)
+
+    return tuple(
+        start
+        for start in starts[1:]
+        if start.delta_chi2 < CLEAR_LEAD and max(apart(start, name) for name in stderr) > _APART
+    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -202,8 +225,8 @@ class FitResult:
 
     @property
     def rivals(self) -> tuple[Start, ...]:
-        """Other starts that ended almost as well as the best: the data hardly tell them apart."""
-        return tuple(start for start in self.starts[1:] if start.delta_chi2 < CLEAR_LEAD)
+        """Other starts that ended elsewhere, almost as well: the data hardly tell them from the best."""
+        return rivals(self.starts, self.stderr, self.declared)
 
     @property
     def declared(self) -> dict[str, Parameter]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from petalfit.components import Parameter, Posed, bare, parameters
 from petalfit.fitting.determined import combinations, covariance
-from petalfit.fitting.result import CLEAR_LEAD, Agreement, FitResult, Pose, Start
+from petalfit.fitting.result import Agreement, FitResult, Pose, Start, rivals
 from petalfit.fitting.rounds import Settled
 from petalfit.observations import PointCloud, Silhouette
 from petalfit.surfaces import AbstractSurface
@@ -23,8 +23,6 @@ _EMPTY = 0.1
 # Where foot points jump between two folds, a fit may flip for ever between two states that are nearly
 # the same: up to this many standard errors apart, that is a warning and no failure.
 _SETTLED = 0.5
-# Standard errors between two ends from which they are different.
-_RIVAL = 3.0
 
 
 def summarise(
@@ -77,13 +75,14 @@ def summarise(
             f"not converged after {best.rounds} rounds: parameters still move by "
             f"{best.moved:.2g} standard errors"
         )
+    starts = _starts(ends, names)
     flips = settled and best.moved > 0.05
     warnings = [
         *([f"parameters flip by {best.moved:.2g} standard errors"] if flips else []),
         *bounds.values(),
         *(f"{name} is not determined by this target" for name in names if not identifiable[name]),
         *(combinations(best, names, declared, found) if finite else []),
-        *_rivals(ends, names, matrix),
+        *_rivals(starts, dict(zip(names, np.sqrt(np.diag(matrix)), strict=True)), declared),
         *(w for part, seen in zip(agreements, best.seen, strict=True)
           for w in _about(part, seen.uv, bare(best.model), noise)),
     ]  # fmt: skip
@@ -111,7 +110,7 @@ def summarise(
         message="; ".join([message, *warnings]),
         warnings=tuple(warnings),
         steps=best.rounds,
-        starts=_starts(ends, names),
+        starts=starts,
     )
 
 
@@ -125,6 +124,14 @@ def _starts(ends: list[Settled], names: tuple[str, ...]) -> tuple[Start, ...]:
         )
         for end in ends
     )
+
+
+def _rivals(
+    starts: tuple[Start, ...], stderr: dict[str, float], declared: dict[str, Parameter]
+) -> list[str]:
+    """A warning that names the rivals, if there are any."""
+    found = [f"{s.label} (Δχ² {s.delta_chi2:.1f})" for s in rivals(starts, stderr, declared)]
+    return [f"almost as good: {', '.join(found)}"] if found else []
 
 
 def _in_pixels(
@@ -179,22 +186,6 @@ def _at_bounds(
         if min(values[name] - low, high - values[name]) < 0.005 * (high - low):
             found[name] = f"{name} ended at the bound of its range ({low:g}, {high:g})"
     return found
-
-
-def _rivals(ends: list[Settled], names: tuple[str, ...], matrix: np.ndarray) -> list[str]:
-    """Starts that ended elsewhere with nearly the same cost."""
-    error = np.sqrt(np.diag(matrix))
-    best = np.array([float(getattr(ends[0].model, name)) for name in names])
-    others = []
-    for end in ends[1:]:
-        there = np.array([float(getattr(end.model, name)) for name in names])
-        with np.errstate(invalid="ignore"):
-            apart = np.abs(there - best) / error
-        if end.chi2 - ends[0].chi2 < CLEAR_LEAD and np.nanmax(apart) > _RIVAL:
-            others.append(f"{end.label} (Δχ² {end.chi2 - ends[0].chi2:.1f})")
-    if not others:
-        return []
-    return [f"almost as good: {', '.join(others)}"]
 
 
 def _about(

@@ -121,7 +121,8 @@ def read_case(folder: Path) -> tuple[Case, list[PointCloud | Silhouette]]:
 
 def _sight(fields: dict[str, Any]) -> Sight:
     """A sight from its JSON, in which tuples are lists."""
-    return Sight(**{name: tuple(x) if isinstance(x, list) else x for name, x in fields.items()})
+    tuples: dict[str, Any] = {name: tuple(x) for name, x in fields.items() if isinstance(x, list)}
+    return Sight(**fields | tuples)
 
 
 def _truth(case: Case) -> dict[str, object]:

@@ -26,7 +26,7 @@ def test_demo(petalfit: Call, tmp_path: Path) -> None:
     assert contents(tmp_path / "demo").keys() == set(files)
     for file in files:
         assert str(tmp_path / "demo" / file) in outcome.out
-    case, cloud = read_case(tmp_path / "demo")
+    case, (cloud,) = read_case(tmp_path / "demo")
     result = pf.FitResult.load(tmp_path / "demo/fit.json")
     np.testing.assert_array_equal(result.agreements[0].target.points, cloud.points)
     for name in result.names:
@@ -41,7 +41,7 @@ def test_demo_options(petalfit: Call, tmp_path: Path, instantly: Callable) -> No
     out = tmp_path / "demo"
     outcome = petalfit("demo", "--out", out, "--points", 60, "--noise", 0, "--seed", 4, "--quiet")
     assert (outcome.status, outcome.out, outcome.err) == (0, "", "")
-    case, cloud = read_case(out)
+    case, (cloud,) = read_case(out)
     assert (len(cloud), case.noise, case.seed) == (60, 0.0, 4)
     assert case.model == random_petal(np.random.default_rng(4))
     for option, value in ("points", 12), ("noise", -1), ("seed", -1):

@@ -13,6 +13,7 @@ from petalfit.synthetic import (
     Case,
     check_cases,
     make,
+    make_masks,
     random_petal,
     read_case,
     write_cases,
@@ -40,14 +41,21 @@ def test_manifest_tells_all() -> None:
         assert (entry["noise"], entry["seed"], entry["points"], entry["strays"]) == (
             case.noise, case.seed, case.points, case.strays
         )  # fmt: skip
-        assert len(entry["files"]) == 2
+        assert len(entry["files"]) == 1 + (case.points > 0) + 2 * len(case.sights)
 
 
 @pytest.mark.parametrize("recipe", RECIPES, ids=NAMES)
 def test_case_reads_back(recipe: Case) -> None:
-    case, cloud = read_case(FOLDER / "cases" / recipe.name)
+    case, targets = read_case(FOLDER / "cases" / recipe.name)
     assert values(case) == values(recipe)
     assert dataclasses.replace(case, model=recipe.model) == recipe
+    masks = targets[recipe.points > 0 :]
+    for mask, made in zip(masks, make_masks(recipe), strict=True):
+        np.testing.assert_allclose(mask.mask, made.mask, atol=0.5 / 255)
+        np.testing.assert_allclose(mask.camera.matrix, made.camera.matrix)
+    if not recipe.points:
+        return
+    cloud = targets[0]
     assert len(cloud) == recipe.points
     assert cloud.normals is None
     if recipe.keep is not None:
