@@ -50,6 +50,10 @@ format: $(READY)  ## ruff's formatting and safe fixes, in place
 data: $(READY)  ## make the cases of data_synthetic again
 	$(BIN)/python -m data_synthetic
 
+.PHONY: figures
+figures: $(READY)  ## make the pictures of docs/ again
+	$(BIN)/python docs/figures.py
+
 .PHONY: constraints
 constraints: $(READY)  ## pin the newest versions that pyproject.toml allows
 	printf 'hatchling\nuv\n' | $(UV) pip compile --quiet --upgrade --universal --python-version 3.11 \

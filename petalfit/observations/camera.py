@@ -174,7 +174,7 @@ class Camera:
         return arrays | {"translation": self.translation.tolist(), "shape": list(self.shape)}
 
     @classmethod
-    def from_json(cls, content: dict[str, Any]) -> Camera:
+    def from_json(cls, content: Any) -> Camera:
         """A camera from its JSON: what `to_json` made, or the arguments of a constructor.
 
         With `pixels_per_unit` these are `orthographic`'s, with `K` they are `perspective`'s.

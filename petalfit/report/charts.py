@@ -126,7 +126,7 @@ def overlay_chart(overlay: Overlay, limit: float, noise: float) -> str:
     places = (overlay.places - corner) * per_pixel
     for (x, y), colour in zip(places.tolist(), colours, strict=True):
         content.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="1.6" fill="{css(colour)}"/>')
-    content += _key(width + 16, 22, min(height - 30.0, 200.0), limit, noise)
+    content += _key(width + 16, 22.0, min(height - 30.0, 200.0), limit, noise)
     return _svg(width + 76, height + 6, "mask and fitted outline", content)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from petalfit.observations import Camera, TargetError, read_transforms
+from petalfit.observations import Camera, TargetError, read_cameras, read_transforms
 
 TURN = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
 K = np.array([[300.0, 0.0, 120.0], [0.0, 310.0, 90.0], [0.0, 0.0, 1.0]])
@@ -130,3 +130,32 @@ def test_no_transforms_at_all(tmp_path):
     (tmp_path / "list.json").write_text("[1, 2]")
     with pytest.raises(TargetError, match="is no transforms"):
         read_transforms(tmp_path / "list.json")
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        Camera.look_at((3, 4, 5), (0, 0, 0), (48, 64), pixels_per_unit=2.0),
+        Camera.look_at((3, 4, 5), (0, 0, 0), (48, 64)),
+    ],
+)
+def test_json_gives_back_the_same_camera(camera, tmp_path):
+    (tmp_path / "camera.json").write_text(json.dumps(camera.to_json()))
+    again = read_cameras(tmp_path / "camera.json")
+    for name in ("matrix", "rotation", "translation"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(camera, name))
+    assert again.shape == camera.shape
+    assert again.is_orthographic == camera.is_orthographic
+
+
+def test_json_of_a_constructors_arguments():
+    rotation = np.eye(3).tolist()
+    fields = {"rotation": rotation, "shape": [48, 64]}
+    flat = Camera.from_json(fields | {"pixels_per_unit": 2.0, "centre": [1, 2]})
+    np.testing.assert_allclose(flat.project(np.array([[1.0, 1, 1]])), [[3, 4]])
+    intrinsics = [[10, 0, 3], [0, 10, 4], [0, 0, 1]]
+    deep = Camera.from_json(fields | {"K": intrinsics, "translation": [0, 0, 5]})
+    np.testing.assert_allclose(deep.project(np.array([[1.0, 1, 0]])), [[5, 6]])
+    for bad in ({}, {"K": intrinsics}, fields, fields | {"matrix": [[1, 2], [3, 4]]}, [1, 2]):
+        with pytest.raises(TargetError):
+            Camera.from_json(bad)
