@@ -237,8 +237,8 @@ class FitResult:
             scale = self.values["scale"]
             typical = {
                 "scale": (0.3 * scale, 3 * scale),
-                "shift_x": (0, columns),
-                "shift_y": (0, rows),
+                "shift_x": (0.0, float(columns)),
+                "shift_y": (0.0, float(rows)),
             }
             for name, parameter in parameters(Posed).items():
                 found[name] = dataclasses.replace(parameter, unit="px", typical=typical[name])
