@@ -44,7 +44,7 @@ ModelName = Annotated[
     arg(
         name="model",
         metavar="MODEL",
-        help="Component to fit; `petalfit parameters MODEL` says what it has. Clouds take PeonyPetal.",
+        help="Component to fit; `petalfit parameters MODEL` says what it has.",
     ),
 ]
 Free = Annotated[

@@ -62,6 +62,10 @@ class Posed(AbstractSurface):
         return self.surface.orientation
 
     @property
+    def edges(self) -> tuple[bool, bool]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.surface.edges
+
+    @property
     def regular(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.surface.regular
 

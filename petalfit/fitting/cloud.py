@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from petalfit.compilation import bucket, pad_to
 from petalfit.components import PeonyPetal
 from petalfit.fitting import peony_start, programs
-from petalfit.fitting.coordinates import Coordinates, with_values
+from petalfit.fitting.coordinates import Coordinates, Model, with_values
 from petalfit.fitting.determined import stay_at_the_start
 from petalfit.fitting.peony_start import HEIGHTS, RIBS
 from petalfit.fitting.rounds import (
@@ -25,6 +25,7 @@ from petalfit.fitting.rounds import (
     minimise,
 )
 from petalfit.fitting.solve import Prior
+from petalfit.fitting.view_start import Shadow, search
 from petalfit.observations import PointCloud
 from petalfit.residuals import AbstractTerm, Data, TangentDistance, perturbation
 from petalfit.surfaces import AbstractSurface
@@ -93,10 +94,9 @@ class ObservedCloud(AbstractObserved):
         return TangentDistance(data=self.data, uv=uv, sigma=self.data.sigma)
 
     def look(self, model: AbstractSurface, term: AbstractTerm | None) -> TangentDistance:
-        assert isinstance(model, PeonyPetal)
         points = self.data.points
         if term is None:
-            return self.at(programs.refine(model, points, plane_feet(model, points), 2))
+            return self.at(programs.refine(model, points, feet(model, points), 2))
         assert isinstance(term, TangentDistance)
         uv = programs.refine(model, points, term.uv, 2)
         return TangentDistance(data=self.data, uv=uv, sigma=term.sigma)
@@ -116,7 +116,7 @@ class ObservedCloud(AbstractObserved):
         seen = programs.survey(coordinates, data, t, uv)
         places, position = uv, np.asarray(seen.position)
         if sample is not data:
-            places = plane_feet(model, sample.points)
+            places = feet(model, sample.points)
             places = programs.refine(model, sample.points, places, 3)
             position = np.asarray(programs.survey(coordinates, sample, t, places).position)
         noise = float(term.sigma) * perturbation(np.asarray(places))
@@ -124,8 +124,9 @@ class ObservedCloud(AbstractObserved):
         score = np.zeros(len(t))
         for moved in (position + noise, position - noise):
             around = sample._replace(points=jnp.asarray(moved))
-            feet = programs.refine(model, moved, places, 3)
-            blurred = programs.survey(coordinates, around, t, feet)
+            blurred = programs.survey(
+                coordinates, around, t, programs.refine(model, moved, places, 3)
+            )
             score += np.asarray(blurred.slopes).T @ (weights * np.asarray(blurred.distance)) / 2
         share = np.sum(weights) / np.sum(np.asarray(data.weights))
         score /= share * float(seen.sigma) ** 2
@@ -146,18 +147,22 @@ class ObservedCloud(AbstractObserved):
         return [Seen(off, weights, float(term.sigma), "length", chi2, np.asarray(term.uv))]
 
 
-def plane_feet(petal: PeonyPetal, points: Float[Array, "n 3"]) -> Float[Array, "n 2"]:
-    """(u, v) of a petal straight below or above the points: a start for their foot points.
+def feet(model: AbstractSurface, points: Float[Array, "n 3"]) -> Float[Array, "n 2"]:
+    """(u, v) near the points: a start for their foot points.
 
-    Sought at the nearest place of the surface itself, many would end on the wrong rib.
+    Of a petal straight below or above them: sought at the nearest place of the surface itself, many
+    would end on the wrong rib.
     """
+    if not isinstance(model, PeonyPetal):
+        return programs.refine(model, points, programs.nearest(model, points), 6)
+    petal = model
     flat = peony_start.flat(petal)
     below = np.asarray(points) * np.array([1.0, 1.0, 0.0])
     return programs.refine(flat, below, programs.nearest(flat, below), 6)
 
 
 def fit_cloud(
-    template: PeonyPetal,
+    template: Model,
     free: tuple[str, ...],
     points: np.ndarray,
     weights: np.ndarray,
@@ -166,8 +171,8 @@ def fit_cloud(
     from_template: bool,
     seed: int,
     progress: Progress,
-) -> list[Settled]:
-    """Fit a peony petal in the cloud's own frame.
+) -> list[Settled[Model]]:
+    """Fit a component in the cloud's own frame.
 
     Args:
         template: Values of the fixed parameters; of all parameters if `from_template`.
@@ -189,8 +194,10 @@ def fit_cloud(
     order = np.random.default_rng(seed).permutation(len(points))
     if from_template:
         starts = [("given", coordinates.template)]
-    else:
+    elif isinstance(template, PeonyPetal):
         starts = [*_starts(coordinates, points, weights, order, noise, progress)]
+    else:
+        starts = [*_component_starts(coordinates, points, weights, order, progress)]
     ends = []
     for label, model in starts:
         progress(f"polishing from {label}")
@@ -199,8 +206,7 @@ def fit_cloud(
 
     def again(
         model: AbstractSurface, polished: Polished | None, prior: Prior | None
-    ) -> Settled[PeonyPetal]:
-        assert isinstance(model, PeonyPetal)
+    ) -> Settled[Model]:
         return _settle(coordinates, best.label, model, points, weights, order, noise, prior)
 
     best = stay_at_the_start(coordinates, best, again)
@@ -208,7 +214,7 @@ def fit_cloud(
 
 
 def with_all_points(
-    coordinates: Coordinates[PeonyPetal], end: Settled, number: int, cloud: PointCloud
+    coordinates: Coordinates, end: Settled, number: int, cloud: PointCloud
 ) -> Settled:
     """An end with all points of a cloud as they came, those without weight included.
 
@@ -228,15 +234,47 @@ def with_all_points(
     distance[used], uv[used] = seen.distance[:count], seen.uv[:count]
     if count < size:
         data = pad(cloud.points[~used], np.ones(size - count), seen.noise)
-        feet = programs.refine(end.model, data.points, plane_feet(end.model, data.points), 3)
+        uv_rest = programs.refine(end.model, data.points, feet(end.model, data.points), 3)
         others = ObservedCloud(data)
         t = coordinates.inverse(end.model)
-        (rest,) = others.seen(coordinates, t, others.at(feet))
+        (rest,) = others.seen(coordinates, t, others.at(uv_rest))
         assert rest.uv is not None
         distance[~used], uv[~used] = rest.distance[: size - count], rest.uv[: size - count]
     seen = seen._replace(distance=distance, weights=np.array(given, float), uv=uv)
     parts = (*end.seen[:number], seen, *end.seen[number + 1 :])
     return dataclasses.replace(end, seen=parts)
+
+
+def _component_starts(
+    coordinates: Coordinates,
+    points: np.ndarray,
+    weights: np.ndarray,
+    order: np.ndarray,
+    progress: Progress,
+) -> Iterator[tuple[str, AbstractSurface]]:
+    """Starts of any component: as far as the points in all directions, then near to them."""
+    progress("searching the extent")
+    some = order[:_START_POINTS]
+    # Three views along the axes know how far a body reaches in space.
+    shadows = [
+        Shadow(np.vstack([np.hstack([np.delete(np.eye(3), k, 0), np.zeros((2, 1))]), _FLAT]),
+               np.delete(points[some], k, 1), weights[some])
+        for k in range(3)
+    ]  # fmt: skip
+    cloud = ObservedCloud(pad(points[some], weights[some], None))
+    found = []
+    for t in search(coordinates, shadows, _CANDIDATES):
+        model = minimise(coordinates, [cloud], coordinates.model(t), [None], 4, 0.5).model
+        found.append((cloud.misfit(model), model))
+    found.sort(key=lambda start: start[0])
+    different: list[np.ndarray] = []
+    for _, model in found:
+        t = coordinates.inverse(model)
+        if all(np.max(np.abs(t - other)) > _SAME for other in different):
+            different.append(t)
+            yield f"extent {len(different)}", model
+        if len(different) == _FOLLOWED:
+            return
 
 
 def _starts(
@@ -308,7 +346,7 @@ def _with_heights(
     """The petal with the heights that its outline leaves, and foot points straight below the data."""
     names = [name for name in HEIGHTS if name in coordinates.free]
     flat = with_values(outline, dict.fromkeys((*names, "rib_amplitude"), 0.0))
-    uv = plane_feet(flat, data.points)
+    uv = feet(flat, data.points)
     if not names:
         return flat, uv
     here = coordinates.around(flat)
@@ -325,29 +363,33 @@ def _with_heights(
 
 
 def _settle(
-    coordinates: Coordinates[PeonyPetal],
+    coordinates: Coordinates,
     label: str,
-    model: PeonyPetal,
+    model: AbstractSurface,
     points: np.ndarray,
     weights: np.ndarray,
     order: np.ndarray,
     noise: float | None,
     prior: Prior | None = None,
-) -> Settled[PeonyPetal]:
+) -> Settled:
     """Polish on ever more points: each stage starts within a few standard errors of its end."""
     if len(order) > 2 * _START_POINTS:
         some = order[:_START_POINTS]
         data = pad(points[some], weights[some], noise)
         cloud = ObservedCloud(data)
-        start = cloud.at(plane_feet(model, data.points))
+        start = cloud.at(feet(model, data.points))
         model = minimise(coordinates, [cloud], model, [start], 10, 0.1, prior).model
     cloud = ObservedCloud.of(points, weights, noise, order)
     data = cloud.data
-    start = cloud.at(plane_feet(model, data.points))
+    start = cloud.at(feet(model, data.points))
     polished = minimise(coordinates, [cloud], model, [start], _ROUNDS, _TOLERANCE, prior)
     return finish(coordinates, label, [cloud], polished, prior)
 
 
+_FLAT = np.array([[0.0, 0.0, 0.0, 1.0]])  # the last row of an orthographic camera
+_CANDIDATES = 12
+_FOLLOWED = 2
+_SAME = 0.3  # coordinates closer than this are one start
 _ROUNDS = 30
 _LENGTHS = (16.0, 21.0, 27.0, 35.0)
 _TOLERANCE = 1e-2  # standard errors

@@ -138,11 +138,6 @@ def run(
     views = [part for part in targets if isinstance(part, Silhouette)]
     for cloud in clouds:
         _check_frame(cloud, template)
-    if clouds and not isinstance(template, PeonyPetal):
-        raise TargetError(
-            f"a {type(template).__name__} can be fitted to silhouettes only; clouds are fitted by "
-            "PeonyPetal."
-        )
     options: Any = {
         "noise": noise,
         "from_template": from_template,
@@ -154,7 +149,6 @@ def run(
             (cloud,) = clouds
             weights = np.ones(len(cloud)) if cloud.weights is None else cloud.weights
             _check_count(weights, names)
-            assert isinstance(template, PeonyPetal)
             ends = fit_cloud(template, names, cloud.points, weights, **options)
             return Fitted(template, names, targets, ends)
         contours = [Contour.of(view) for view in views]

@@ -24,6 +24,7 @@ from petalfit.residuals import (
     estimate_sigma,
     frame,
     half_squared_distance,
+    limits,
     pull_back,
     slide_foot_points,
 )
@@ -91,7 +92,7 @@ def cost_gradient(
     covectors = here.normal * (distance / sigma)[:, None]
     covectors = (covectors + jnp.sum(score[..., None] * here.conormals, axis=1)) / sigma
     nodes = jnp.asarray(edge_nodes(model.domain), uv.dtype)
-    pull = edge_pull(model.domain, frame(model, nodes), uv, data.weights)
+    pull = edge_pull(model, frame(model, nodes), uv, data.weights)
     pulled = pull_back(
         model,
         jnp.concatenate([uv, nodes[:EDGE_NODES]]),
@@ -103,7 +104,7 @@ def cost_gradient(
 def _implicit_foot_points(model: AbstractSurface, points: Array, uv: Array) -> Array:
     """Foot points with the right first derivatives: one Newton step whose matrix is held."""
     uv = slide_foot_points(*jax.lax.stop_gradient((model, points, uv)), 8)
-    low, high = (jnp.asarray(side, points.dtype) for side in zip(*model.domain, strict=True))
+    low, high = limits(model)
 
     @jax.vmap
     def newton(uv: Array, x: Array) -> Array:

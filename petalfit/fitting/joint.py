@@ -23,7 +23,7 @@ from petalfit.fitting.rounds import (
     minimise,
 )
 from petalfit.fitting.solve import Prior
-from petalfit.fitting.view_start import search
+from petalfit.fitting.view_start import Shadow, search
 from petalfit.fitting.views import CORRELATED, ObservedViews, View, padded, rows
 from petalfit.observations import Contour, PointCloud, TargetError
 from petalfit.surfaces import AbstractSurface, outline
@@ -173,10 +173,8 @@ def _from_clouds(
                 "parameters: give more points, or name fewer parameters in free."
             )
         return
-    template = coordinates.template
-    assert isinstance(template, PeonyPetal)
     starts = fit_cloud(
-        template,
+        coordinates.template,
         coordinates.free,
         np.concatenate(points),
         np.concatenate(weights),
@@ -218,9 +216,9 @@ def _from_outlines(joint: Joint) -> Iterator[Ended]:
 def _smooth(joint: Joint, held: Coordinates) -> Iterator[Start]:
     """Surfaces that follow the silhouettes, different ones, the best first."""
     joint.progress("searching the outline")
-    contours = [view.contour for view in joint.views.views]
+    shadows = [Shadow.of(view.contour) for view in joint.views.views]
     found: list[tuple[float, AbstractSurface]] = []
-    for t in search(held, contours, _CANDIDATES):
+    for t in search(held, shadows, _CANDIDATES):
         model = joint.minimise(held, held.model(t), 3, 0.5).model
         found.append((joint.misfit(model), model))
         if found[-1][0] < _RIGHT:

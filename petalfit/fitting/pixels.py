@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from petalfit.fitting import programs
 from petalfit.fitting.coordinates import Coordinates
-from petalfit.fitting.views import CORRELATED, Match, View, padded, rows
+from petalfit.fitting.views import Match, View, padded, rows
 from petalfit.observations import Contour, trace
 from petalfit.surfaces import AbstractSurface, Outline, coverage, outline, outline_rings
 
@@ -45,12 +45,14 @@ class PixelErrors(NamedTuple):
         spread: Its covariance, shape (p, p).
         likeness: How far a picture with the grid as it was errs as the target does, from 0 to 1.
         noise: Standard deviation of the contour's distances that weights were computed with, in pixels.
+        time: How many pixels counted as one observation.
     """
 
     score: Float[np.ndarray, " p"]
     spread: Float[np.ndarray, "p p"]
     likeness: float
     noise: float
+    time: float
 
 
 class _Scorer(NamedTuple):
@@ -62,6 +64,7 @@ class _Scorer(NamedTuple):
         seen: The model's outline.
         slopes: Derivatives of the outline's places along their normals by t, pixels, shape (n, p).
         noise: Of the contour's distances, in pixels.
+        time: How many pixels count as one observation.
     """
 
     model: AbstractSurface
@@ -69,11 +72,12 @@ class _Scorer(NamedTuple):
     seen: Outline
     slopes: Float[np.ndarray, "n p"]
     noise: float
+    time: float
 
     def weighted(self, match: Match) -> Float[np.ndarray, " n"]:
         """Weights of a match's rows over the variance of the noise."""
         share = match.length * self.view.calm(match, self.noise)
-        return share / (2 * CORRELATED * self.noise**2)
+        return share / (2 * self.time * self.noise**2)
 
     def rows(self, match: Match) -> Float[np.ndarray, "n p"]:
         """Derivatives of a match's distances."""
@@ -99,14 +103,19 @@ def pixel_errors(
     observed = target.distance[~target.forward] - middle
     repeated = same.distance[~same.forward] - middle
     calm = target.length[~target.forward] / (1 + (observed / view.kernel) ** 2)
-    power = float(np.sum(calm * repeated**2)) + 1e-300
-    likeness = float(np.clip(np.sum(calm * repeated * observed) / power, 0.0, 1.0))
+    # What the parameters can follow may come from elsewhere: a cloud that pulls at the outline.
+    rows = np.sqrt(calm)[:, None] * scorer.rows(target)[~target.forward]
+    basis = np.linalg.qr(np.concatenate([rows, 1e-3 * np.eye(len(t))]))[0][: len(rows)]
+    one, other = (np.sqrt(calm) * distance for distance in (repeated, observed))
+    one = one - basis @ (basis.T @ one)
+    likeness = float(np.clip(one @ other / (one @ one + 1e-300), 0.0, 1.0))
     expected = np.mean([_variance(match) for match in others])
     excess = max(0.0, 1 - float(expected) / max(_variance(target), 1e-300))
     spread = max(1 - likeness**2, _LEFT) * spread
     if excess > _NOISY:
         spread = spread + _of_noise(scorer, target, excess)
-    return PixelErrors(mean, spread + _unresolved(scorer, target), likeness, scorer.noise)
+    spread = spread + _unresolved(scorer, target)
+    return PixelErrors(mean, spread, likeness, scorer.noise, scorer.time)
 
 
 def repeated(
@@ -116,19 +125,24 @@ def repeated(
 
     It is zero where the picture's contour is the target's, up to what the parameters cannot follow.
     """
-    scorer, target = _scorer(coordinates, t, view, errors.noise)
+    scorer, target = _scorer(coordinates, t, view, errors.noise, errors.time)
     (same,) = _pictures(scorer, np.zeros((1, 2)))
     return errors.likeness * (scorer.score(same) - scorer.score(target))
 
 
 def _scorer(
-    coordinates: Coordinates, t: np.ndarray, view: View, noise: float | None = None
+    coordinates: Coordinates,
+    t: np.ndarray,
+    view: View,
+    noise: float | None = None,
+    time: float | None = None,
 ) -> tuple[_Scorer, Match]:
     model = coordinates.model(t)
     seen = outline(model, view.contour.camera)
     target = view.matched(seen)
     slopes = _slopes(coordinates, t, view.contour, seen)
-    return _Scorer(model, view, seen, slopes, noise or view.noise(target)), target
+    noise = noise or view.noise(target)
+    return _Scorer(model, view, seen, slopes, noise, time or view.correlated(target, noise)), target
 
 
 def _slopes(coordinates: Coordinates, t: np.ndarray, contour: Contour, seen: Outline) -> np.ndarray:
@@ -195,6 +209,9 @@ def _of_noise(scorer: _Scorer, match: Match, excess: float) -> Float[np.ndarray,
     noise = np.exp(-0.5 * (lag / width) ** 2)
     residual = np.diag(left @ noise @ left.T)
     variance = excess * np.sum(distance[calm] ** 2) / np.sum(residual[calm])
+    # So few independent stretches of contour tell the variance, whose error counts as Student's does.
+    stretches = np.count_nonzero(calm) / (np.sqrt(2 * np.pi) * max(width, 0.4)) - slopes.shape[1]
+    variance *= max(stretches, 4.0) / (max(stretches, 4.0) - 2)
     parts = weights[:, None] * slopes
     return variance * parts.T @ noise @ parts
 

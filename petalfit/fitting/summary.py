@@ -223,7 +223,10 @@ def _coverage_warnings(model: AbstractSurface, uv: np.ndarray, weights: np.ndarr
     """A part of the surface without data, seen in 4 × 4 parts of the domain."""
     (u_low, u_high), (v_low, v_high) = model.domain
     used = np.flatnonzero(weights > 0)
-    u, v = uv[used].T
+    # Where the surface goes on, so do foot points.
+    low, high = np.array(model.domain).T
+    around = low + (uv[used] - low) % (high - low)
+    u, v = np.where(model.edges, uv[used], around).T
     counts, *_ = np.histogram2d(u, v, bins=4, range=[[u_low, u_high], [v_low, v_high]])
     empty = np.count_nonzero(counts == 0) / counts.size
     if empty <= _EMPTY or len(used) < 8 * counts.size:

@@ -1,4 +1,4 @@
-"""Where to start from silhouettes: candidates whose support functions are those of the contours.
+"""Where to start from silhouettes, or any cloud: candidates that reach as far in all directions.
 
 The support function, how far a shape reaches in every direction, needs no matching: it is the largest
 projection of the surface's own places, folds and all. Evenly spread candidates are scored by it, the
@@ -8,6 +8,7 @@ best are improved on it by a few damped Gauss-Newton steps, and those that remai
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -30,26 +31,49 @@ _TOLERANCE = 0.01  # of the contour's size
 _PRIOR = 0.05  # what keeps parameters of no influence where they are
 
 
+class Shadow(NamedTuple):
+    """What a support function is taken of.
+
+    Attributes:
+        matrix: Of the camera, shape (3, 4).
+        place: In the image, shape (n, 2).
+        weight: 0 where something is cut off, shape (n,).
+    """
+
+    matrix: Float[np.ndarray, "3 4"]
+    place: Float[np.ndarray, "n 2"]
+    weight: Float[np.ndarray, " n"]
+
+    @classmethod
+    def of(cls, contour: Contour) -> Shadow:
+        return cls(contour.camera.matrix, contour.place, contour.length)
+
+    @property
+    def size(self) -> float:
+        """Diagonal of the box around it."""
+        return float(np.hypot(*np.ptp(self.place, axis=0)))
+
+
 def search(
-    coordinates: Coordinates, contours: Sequence[Contour], most: int
+    coordinates: Coordinates, shadows: Sequence[Shadow], most: int
 ) -> list[Float[np.ndarray, " p"]]:
     """Coordinates t of different candidates, the best first, at most `most`.
 
     Args:
         coordinates: The free parameters; those that are held keep the template's values.
-        contours: All that was seen.
+        shadows: All that was seen, from one direction each.
         most: How many to return at the most.
     """
     angle = 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
     directions = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    matrices = np.stack([contour.camera.matrix for contour in contours])
-    scale = np.array([_TOLERANCE * contour.size for contour in contours])
-    reach, known = np.empty((2, len(contours), _DIRECTIONS))
-    for k, contour in enumerate(contours):
-        along = contour.place @ directions.T
+    matrices = np.stack([shadow.matrix for shadow in shadows])
+    scale = np.array([_TOLERANCE * shadow.size for shadow in shadows])
+    reach, known = np.empty((2, len(shadows), _DIRECTIONS))
+    for k, shadow in enumerate(shadows):
+        along = shadow.place @ directions.T
         reach[k] = np.max(along, axis=0)
         # Where the contour is cut off, the petal reaches at least as far: more is no fault.
-        known[k] = contour.length[np.argmax(along, axis=0)] > 0
+        known[k] = shadow.weight[np.argmax(along, axis=0)] > 0
     candidates = _spread(coordinates)
     found = np.asarray(_supports(coordinates, candidates, matrices, directions))
     gap = np.where((known == 0) & (found > reach), 0.0, found - reach) / scale[:, None]

@@ -27,8 +27,11 @@ _TURN = 0.025
 _BACK = 512
 # Distances far beyond this many pixels of an image of 256, or three times the typical one, hardly count.
 _KERNEL = 2.0 / 256
-# Neighbouring places of a contour err together: so many pixels count as one observation.
+# Neighbouring places of a contour err together: so many pixels count as one observation where starts are
+# compared. What they weigh beside other observations is measured, within limits.
 CORRELATED = 2.0
+_LONGEST = 24
+_TIMES = (0.7, 20.0)
 # Whatever the residuals say, a contour is not known better than this, in pixels.
 _FINEST = 0.02
 _THIN = 1.5  # pixels
@@ -133,6 +136,14 @@ class View:
         counts = match.forward & (match.length > 0)
         return max(1.4826 * float(np.median(np.abs(match.distance[counts]))), _FINEST)
 
+    def correlated(self, match: Match, noise: float) -> float:
+        """How many neighbouring pixels of the contour count as one observation."""
+        distance = np.clip(match.distance[match.forward], -3 * noise, 3 * noise)
+        power = float(distance @ distance) + 1e-300
+        lags = range(1, min(_LONGEST, len(distance) // 4))
+        sums = [(1 - lag / _LONGEST) * float(distance[lag:] @ distance[:-lag]) for lag in lags]
+        return float(np.clip(1 + 2 * sum(sums) / power, *_TIMES))
+
     def chi2(self, match: Match) -> float:
         """Comparable between models: n log of the mean squared distance, large ones tempered."""
         tempered = self.kernel**2 * np.log1p((match.distance / self.kernel) ** 2)
@@ -160,7 +171,7 @@ class ObservedViews(AbstractObserved):
             match = view.match(model)
             noise = view.noise(match)
             # Both directions tell the same: together they count once.
-            share = view.calm(match, noise) / (2 * CORRELATED)
+            share = view.calm(match, noise) / (2 * view.correlated(match, noise))
             parts.append(rows(view.contour, match, np.sqrt(match.length * share) / noise))
         return padded(parts)
 

@@ -19,7 +19,8 @@ class Frame(NamedTuple):
         normal: Unit normal, shape (n, 3); zero where the tangents are dependent.
         conormals: Unit vectors in the tangent plane, perpendicular to the nearer u edge and the nearer
             v edge, pointing out of the surface, shape (n, 2, 3).
-        left: Distance that is left to these edges along the surface, to first order, shape (n, 2).
+        left: Distance that is left to these edges along the surface, to first order, shape (n, 2);
+            without end where the surface has no such edge.
         speed: |∂S/∂u| and |∂S/∂v|, shape (n, 2).
         area_element: |∂S/∂u × ∂S/∂v|, shape (n,).
     """
@@ -40,6 +41,9 @@ class Frame(NamedTuple):
         return _dot(self.conormals, (points - self.position)[:, None]) - self.left
 
 
+_NO_EDGE = 1e30  # what is left to an edge that is not there
+
+
 def frame(surface: AbstractSurface, uv: Float[Array, "n 2"]) -> Frame:
     """The frames of a surface at foot points `uv` (see `refine_foot_points`)."""
     position, tangents = position_and_tangents(surface, uv[:, 0], uv[:, 1])
@@ -55,7 +59,7 @@ def frame(surface: AbstractSurface, uv: Float[Array, "n 2"]) -> Frame:
         position,
         cross * _ratio(1.0, element)[:, None],
         across * (outward * _ratio(1.0, height))[..., None],
-        jnp.minimum(high - uv, uv - low) * height,
+        jnp.where(jnp.asarray(surface.edges), jnp.minimum(high - uv, uv - low) * height, _NO_EDGE),
         jnp.sqrt(_dot(side, side)),
         element,
     )

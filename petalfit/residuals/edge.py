@@ -15,7 +15,7 @@ from jax.scipy.special import log_ndtr
 from jaxtyping import Array, Float
 
 from petalfit.residuals.contact import Frame
-from petalfit.surfaces import Domain
+from petalfit.surfaces import AbstractSurface, Domain
 
 _REACH = 6.0  # beyond this many σ inside the edge, the edge is out of sight
 
@@ -52,7 +52,7 @@ def edge_nodes(domain: Domain) -> Float[np.ndarray, "m 2"]:
 
 
 def edge_pull(
-    domain: Domain, here: Frame, uv: Float[Array, "n 2"], weights: Float[Array, " n"]
+    surface: AbstractSurface, here: Frame, uv: Float[Array, "n 2"], weights: Float[Array, " n"]
 ) -> Float[Array, "m 3"]:
     """Covectors w with Σ w·∂S/∂θ = ∮ ρ (c · ∂S/∂θ) dl, the derivative of Σ log Area by a moving edge.
 
@@ -60,7 +60,7 @@ def edge_pull(
     a missing half, nor by a gradient of the density.
 
     Args:
-        domain: Of the surface.
+        surface: Its domain and its edges count.
         here: The surface's frames at `edge_nodes`.
         uv: Foot points of the cloud.
         weights: Weight of every point; zero for padding.
@@ -68,6 +68,7 @@ def edge_pull(
     Returns:
         A covector for each of the first `EDGE_NODES` nodes.
     """
+    domain = surface.domain
     density = _density(domain, here.area_element[EDGE_NODES:], uv, weights)
     along = jnp.concatenate([density[0, :], density[-1, :], density[:, 0], density[:, -1]])
     # The first half of the nodes lies on u edges, the second on v edges.
@@ -77,6 +78,7 @@ def edge_pull(
     (u_low, u_high), (v_low, v_high) = domain
     length = np.repeat([v_high - v_low, u_high - u_low], half)
     pull = jnp.repeat(along, _NODES // _CELLS) * length * speed / _NODES
+    pull = pull * np.repeat(np.asarray(surface.edges, float), half)
     return conormals * pull[:, None]
 
 

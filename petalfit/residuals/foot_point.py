@@ -109,6 +109,14 @@ def _places_to_look(surface: AbstractSurface, points: Array) -> Array:
     return jnp.swapaxes(starts, 0, 1)
 
 
+def limits(surface: AbstractSurface) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
+    """Least and greatest (u, v) of foot points: without end where the surface has no edge."""
+    low, high = (jnp.asarray(side, float) for side in zip(*surface.domain, strict=True))
+    ends = np.asarray(surface.edges)
+    return jnp.where(ends, low, -_ENDLESS), jnp.where(ends, high, _ENDLESS)
+
+
+_ENDLESS = 1e6
 _NODES = 17
 
 
@@ -119,7 +127,7 @@ def _newton(
 
     The most doubtful would still move; then come those whose place is weakly determined.
     """
-    low, high = (jnp.asarray(side, points.dtype) for side in zip(*surface.domain, strict=True))
+    low, high = limits(surface)
 
     @jax.vmap
     def expand(uv: Array, x: Array) -> tuple[Array, Array, Array]:

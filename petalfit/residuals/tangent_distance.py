@@ -75,7 +75,7 @@ class TangentDistance(AbstractTerm):
         beyond = jnp.max(here.beyond(data.points), axis=-1)
         beyond = jnp.where(data.weights > 0, beyond, -jnp.inf)
         _, near = jax.lax.top_k(beyond, max(len(uv) // 4, min(len(uv), _FEW)))
-        pull = edge_pull(surface.domain, edge, uv, data.weights)
+        pull = edge_pull(surface, edge, uv, data.weights)
         return (
             TangentDistance(data=data, uv=uv, sigma=sigma),
             FrozenDistance(data, uv, sigma, here, near),

@@ -4,6 +4,7 @@ from petalfit.surfaces.deformation import AbstractDeformedSurface as AbstractDef
 from petalfit.surfaces.outline import Outline as Outline
 from petalfit.surfaces.outline import outline as outline
 from petalfit.surfaces.parameter import Parameter as Parameter
+from petalfit.surfaces.parameter import length as length
 from petalfit.surfaces.parameter import parameter as parameter
 from petalfit.surfaces.parameter import parameters as parameters
 from petalfit.surfaces.shapes import Cylinder as Cylinder

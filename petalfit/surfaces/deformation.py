@@ -33,4 +33,6 @@ class AbstractDeformedSurface(AbstractSurface):
     def position(self, u: Array, v: Array) -> Array:
         base = self.base
         point = base.position(u, v) + self.offset(u, v)
+        if type(self).height is AbstractDeformedSurface.height:
+            return point  # and spare the normal, which is most of the work
         return point + base.normal(u, v) * self.height(u, v, point)[..., None]

@@ -39,6 +39,26 @@ def parameter(default: float, **declaration: Any) -> Any:
     return eqx.field(default=default, metadata={_KEY: Parameter(**declaration)})
 
 
+def length(
+    default: float,
+    symbol: str,
+    bounds: tuple[float, float],
+    typical: tuple[float, float],
+    meaning: str,
+    fixed: bool = False,
+) -> Any:
+    """A field that is a length in the unit of the surface."""
+    return parameter(
+        default,
+        symbol=symbol,
+        unit="length",
+        bounds=bounds,
+        typical=typical,
+        meaning=meaning,
+        fixed=fixed,
+    )
+
+
 def parameters(model: AbstractSurface | type[AbstractSurface]) -> dict[str, Parameter]:
     """The declared parameters of a component, by field name, in their order of declaration.
 

@@ -8,20 +8,13 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from petalfit.surfaces.parameter import parameter
+from petalfit.surfaces.parameter import length
 from petalfit.surfaces.surface import AbstractSurface, Domain, Scalar
 
 
 def _size(default: float, symbol: str, meaning: str) -> Any:
     """A length of a shape, of whatever size."""
-    return parameter(
-        default,
-        symbol=symbol,
-        unit="length",
-        bounds=(0.01, 500.0),
-        typical=(1.0, 40.0),
-        meaning=meaning,
-    )
+    return length(default, symbol, (0.01, 500.0), (1.0, 40.0), meaning)
 
 
 class Rectangle(AbstractSurface):
@@ -32,14 +25,7 @@ class Rectangle(AbstractSurface):
 
     a_x: Scalar = _size(10.0, "a_x", "width along x")
     b_y: Scalar = _size(20.0, "b_y", "length along y")
-    c_z: Scalar = parameter(
-        0.0,
-        symbol="c_z",
-        unit="length",
-        bounds=(-200.0, 200.0),
-        typical=(-5.0, 5.0),
-        meaning="height of the plane",
-    )
+    c_z: Scalar = length(0.0, "c_z", (-200.0, 200.0), (-5.0, 5.0), "height of the plane")
     domain: ClassVar[Domain] = Domain(u=(-0.5, 0.5), v=(0.0, 1.0))
     regular: ClassVar[bool] = True
 
@@ -54,6 +40,7 @@ class Cylinder(AbstractSurface):
     h: Scalar = _size(20.0, "h", "height")
     domain: ClassVar[Domain] = Domain(u=(0.0, 2 * math.pi), v=(0.0, 1.0))
     regular: ClassVar[bool] = True
+    edges: ClassVar[tuple[bool, bool]] = (False, True)  # u runs around
     orientation: ClassVar[float] = -1.0  # Eq. 1 runs so that ∂u × ∂v points to the axis
 
     def position(self, u: Array, v: Array) -> Array:
@@ -67,6 +54,7 @@ class Ellipsoid(AbstractSurface):
     r_y: Scalar = _size(15.0, "r_y", "half axis along y; the paper has 3 r_x")
     r_z: Scalar = _size(5.0, "r_z", "half axis along z; the paper has r_x")
     domain: ClassVar[Domain] = Domain(u=(-math.pi / 2, math.pi / 2), v=(0.0, 2 * math.pi))
+    edges: ClassVar[tuple[bool, bool]] = (False, False)  # poles, and v runs around
 
     def position(self, u: Array, v: Array) -> Array:
         return jnp.stack(

@@ -40,11 +40,14 @@ class AbstractSurface(eqx.Module):
             paper's parametrisation makes it point inward.
         regular: True promises that the tangents are independent everywhere, which spares `normal` the
             care that poles need (half the cost of a deformed surface's derivatives).
+        edges: Whether the surface ends where u does, and where v does. Without, the map goes on there: it
+            runs around, or over a pole.
     """
 
     domain: ClassVar[Domain]
     orientation: ClassVar[float] = 1.0
     regular: ClassVar[bool] = False
+    edges: ClassVar[tuple[bool, bool]] = (True, True)
 
     @abc.abstractmethod
     def position(

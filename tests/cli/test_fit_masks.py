@@ -93,7 +93,6 @@ def test_targets_and_cameras_reach_the_fit(petalfit, scene, monkeypatch):
         (["petal.png", "--camera", "small.json"], "256 × 256 pixels and its camera 64 × 64"),
         (["photo.png"], "petalfit mask .*photo.png"),
         (["petal.png", "--model", "Rose"], "there is no model 'Rose'; the models are"),
-        (["cloud.ply", "--model", "Ellipsoid"], "can be fitted to silhouettes only"),
     ],
 )
 def test_what_cannot_be_used_is_said_with_status_2(petalfit, scene, arguments, match):

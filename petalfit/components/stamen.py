@@ -1,0 +1,68 @@
+"""Parts of the stamen, 2.3 of the paper: anther and filament."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from petalfit.surfaces import (
+    AbstractDeformedSurface,
+    Cylinder,
+    Domain,
+    Ellipsoid,
+    Scalar,
+    length,
+)
+
+_PI = jnp.pi
+
+
+class Anther(AbstractDeformedSurface):
+    """A saccate anther: an ellipsoid (r, 3r, r) swollen into two sacs, with a furrow between them.
+
+    The paper says "expanded to become a saccate" and prints no formula; ours is n swell cos u |cos v|,
+    two sacs at ±x, most swollen half-way along.
+    """
+
+    r: Scalar = length(0.8, "r", (0.05, 100.0), (0.2, 4.0), "radius of the ellipsoid")
+    swell: Scalar = length(0.6, "a_1", (0.0, 50.0), (0.1, 2.0), "height of the sacs")
+    domain: ClassVar[Domain] = Ellipsoid.domain
+    edges: ClassVar[tuple[bool, bool]] = Ellipsoid.edges
+
+    @property
+    def base(self) -> Ellipsoid:
+        return Ellipsoid(self.r, 3 * self.r, self.r)
+
+    def height(self, u: Array, v: Array, point: Array) -> Array:
+        return jnp.asarray(self.swell * jnp.cos(u) * jnp.abs(jnp.cos(v)))
+
+
+class Filament(AbstractDeformedSurface):
+    """A long, thin, bent cylinder ("deformed cylinder" in the text of 2.3), open at both ends.
+
+    The radius shrinks from r at the base to r − taper at the tip; the bend adds a_2 sin(πv/2)² to z, so
+    that the filament leaves its base upright.
+    """
+
+    r: Scalar = length(0.4, "r", (0.01, 50.0), (0.1, 2.0), "radius at the base")
+    h: Scalar = length(20.0, "h", (0.5, 500.0), (5.0, 40.0), "height")
+    a_2: Scalar = length(3.0, "a_2", (-100.0, 100.0), (-8.0, 8.0), "how far the tip leans")
+    taper: Scalar = length(0.12, "a_1", (-5.0, 5.0), (0.0, 0.5), "how much thinner the tip is")
+    domain: ClassVar[Domain] = Cylinder.domain
+    orientation: ClassVar[float] = Cylinder.orientation
+    regular: ClassVar[bool] = True
+    edges: ClassVar[tuple[bool, bool]] = Cylinder.edges
+
+    @property
+    def base(self) -> Cylinder:
+        return Cylinder(self.r, self.h)
+
+    def offset(self, u: Array, v: Array) -> Array:
+        lean = self.a_2 * jnp.sin(_PI * v / 2) ** 2
+        zero = jnp.zeros_like(lean)
+        return jnp.stack([zero, zero, lean], axis=-1)
+
+    def height(self, u: Array, v: Array, point: Array) -> Array:
+        return jnp.asarray(-self.taper * v)
