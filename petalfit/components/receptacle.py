@@ -64,7 +64,7 @@ class Bowl(AbstractDeformedSurface):
     Swelling: n r/2 |sin 2u| for u ≥ 0 and n r/1.4 |sin 2u| below, along the ellipsoid's unit normal.
     Hollowing, for u ≥ 0: the paper prints that −r cos(π/2 − u) is added to z, which shears the top
     sideways instead of hollowing it. `hollow="printed"` does that. The default, "bowl", makes what
-    Fig. 4(c) shows, "the upper part is changed to inside of bowl": it adds −5r cos(π/2 − u) to y, which
+    Fig. 4(c) shows, "the upper part is changed to inside of bowl": it adds −5.5r cos(π/2 − u) to y, which
     turns the upper half down into the lower one and leaves a wall between them.
 
     Attributes:
@@ -89,7 +89,7 @@ class Bowl(AbstractDeformedSurface):
         zero = jnp.zeros_like(down)
         if self.hollow == "printed":
             return jnp.stack([zero, zero, down], axis=-1)
-        return jnp.stack([zero, 5 * down, zero], axis=-1)
+        return jnp.stack([zero, 5.5 * down, zero], axis=-1)
 
     def height(self, u: Array, v: Array, point: Array) -> Array:
         return jnp.where(u >= 0, self.r / 2, self.r / 1.4) * jnp.abs(jnp.sin(2 * u))

@@ -79,7 +79,7 @@ def test_edge_residual_and_its_slope():
 
 def pull_of_edges(surface, uv):
     nodes = jnp.asarray(edge_nodes(surface.domain))
-    pull = edge_pull(surface.domain, frame(surface, nodes), uv, jnp.ones(len(uv)))
+    pull = edge_pull(surface, frame(surface, nodes), uv, jnp.ones(len(uv)))
     return leaves(pull_back(surface, nodes[:EDGE_NODES], pull)).sum(axis=-1)
 
 
