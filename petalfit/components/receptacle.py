@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -72,7 +72,7 @@ class Bowl(AbstractDeformedSurface):
     """
 
     r: Scalar = length(2.0, "r", (0.05, 100.0), (0.5, 8.0), "radius of the ellipsoid")
-    hollow: Literal["bowl", "printed"] = eqx.field(default="bowl", static=True)
+    hollow: str = eqx.field(default="bowl", static=True)
     domain: ClassVar[Domain] = Ellipsoid.domain
     edges: ClassVar[tuple[bool, bool]] = Ellipsoid.edges
 

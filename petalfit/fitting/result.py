@@ -326,7 +326,7 @@ class FitResult:
         write_report(self, path)
 
     def _to_json(self) -> dict[str, Any]:
-        fields = {
+        fields: dict[str, Any] = {
             field.name: getattr(self, field.name)
             for field in dataclasses.fields(self)
             if field.name not in ("model", "agreements")
@@ -343,7 +343,16 @@ class FitResult:
             }
             for part in self.agreements
         ]
-        head = {"format": FORMAT, "version": VERSION, "model": type(self.model).__name__}
+        head: dict[str, Any] = {
+            "format": FORMAT,
+            "version": VERSION,
+            "model": type(self.model).__name__,
+        }
+        head["options"] = {
+            field.name: getattr(self.model, field.name)
+            for field in dataclasses.fields(self.model)
+            if field.name not in parameters(self.model)
+        }
         return head | {name: _encode(value) for name, value in fields.items()}
 
     @classmethod
@@ -356,7 +365,8 @@ class FitResult:
             **{name: fields[name] for name in kept}
             | {
                 "model": model(
-                    **{name: float(fields["values"][name]) for name in parameters(model)}
+                    **fields["options"],
+                    **{name: float(fields["values"][name]) for name in parameters(model)},
                 ),
                 "pose": Pose(
                     np.array(pose["rotation"]), np.array(pose["translation"]), pose["scale"]

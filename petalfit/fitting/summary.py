@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 
@@ -97,7 +98,7 @@ def summarise(
     stderr = dict(zip(names, map(float, np.sqrt(np.diag(matrix))), strict=True))
     model = bare(source)
     return FitResult(
-        model=type(model)(**{name: values[name] for name in parameters(model)}),
+        model=dataclasses.replace(model, **{name: values[name] for name in parameters(model)}),
         pose=pose,
         values=values,
         stderr=stderr,
