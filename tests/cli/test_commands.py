@@ -127,7 +127,10 @@ def test_parameters_come_from_their_declarations(
     assert petalfit("parameters", "PeonyPetal").out == outcome.out
     refused = petalfit("parameters", "Rosette")
     assert refused.status == 2
-    assert "there is no model 'Rosette'; the models are PeonyPetal" in refused.err
+    assert "there is no model 'Rosette'; the models are " in refused.err
+    for model in ("PeonyPetal", "Pedicel", "Bowl", "Ellipsoid"):
+        assert model in refused.err.partition("the models are")[2]
+    assert "Posed" not in refused.err
 
 
 def test_help_and_version(petalfit: Call) -> None:
