@@ -70,13 +70,18 @@ def outline(
         resolution: Vertices of the mesh along u and along v.
     """
     u, v = (np.linspace(*side, n) for side, n in zip(surface.domain, resolution, strict=True))
-    grid = camera.project(np.asarray(grid_positions(surface, u, v)))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        grid = camera.project(np.asarray(grid_positions(surface, u, v)))
+    grid = np.nan_to_num(grid, posinf=1e9, neginf=-1e9)
     edges, xy = rims_and_folds(grid), grid.reshape(-1, 2)
     across = xy[edges.end] - xy[edges.start]
     length = np.hypot(*across.T)
     normal = np.stack([across[:, 1], -across[:, 0]], axis=-1) / np.maximum(length, 1e-12)[:, None]
     outside = 0.5 * (xy[edges.start] + xy[edges.end]) + _OUTSIDE * normal
     seen = (sheets(outside, xy, edges) <= 0) & (length > 1e-9)
+    if not seen.any():  # a surface that is a line in this view, or behind the eye
+        seen = edges.sheets == 1
+        length = np.maximum(length, 1e-9)
     edges = Edges(*(field[seen] for field in edges))
     length, normal = length[seen], normal[seen]
     # Even distances along all edges, one after the other.
