@@ -77,5 +77,6 @@ def _displaced(
     field = ndimage.gaussian_filter(np.random.default_rng(seed).standard_normal(shape), width)
     # Smoothing leaves 1/(2 √π width) of white noise's standard deviation.
     mask = distance + sigma * 2 * math.sqrt(math.pi) * width * field > 0
-    labels, _ = ndimage.label(mask)  # pyright: ignore[reportGeneralTypeIssues]
+    labels = np.empty(shape, np.int32)
+    ndimage.label(mask, output=labels)
     return labels == np.argmax(np.bincount(labels.ravel())[1:]) + 1
