@@ -43,9 +43,9 @@ class Sight:
             place, self.target, self.shape, pixels_per_unit=self.pixels_per_unit
         )
         return {
-            "rotation": np.round(camera.rotation, _DECIMALS).tolist(),
+            "rotation": _rounded(camera.rotation),
             "pixels_per_unit": self.pixels_per_unit,
-            "centre": np.round(camera.matrix[:2, 3], _DECIMALS).tolist(),
+            "centre": _rounded(camera.matrix[:2, 3]),
             "shape": list(self.shape),
         }
 
@@ -57,6 +57,11 @@ class Sight:
         if self.edge:
             return Silhouette(_displaced(rings, self.shape, self.edge, seed), camera)
         return Silhouette(seen >= 0.5 if self.kind == "binary" else seen, camera)
+
+
+def _rounded(numbers: np.ndarray) -> list[Any]:
+    """As lists; zeros without the sign that rounding leaves them."""
+    return (np.round(numbers, _DECIMALS) + 0.0).tolist()
 
 
 def _displaced(
