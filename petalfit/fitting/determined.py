@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 
 from petalfit.components import Parameter, parameters
 from petalfit.fitting.coordinates import Coordinates, with_values
+from petalfit.fitting.peony_start import RIBS
 from petalfit.fitting.result import CLEAR_LEAD
 from petalfit.fitting.rounds import Polished, Settled
 from petalfit.fitting.solve import Prior
@@ -19,7 +20,6 @@ from petalfit.surfaces import AbstractSurface
 # typical range, taken as uniform.
 DETERMINED = 0.3
 _ALONE = DETERMINED / 2  # the same, if the others were known
-_RIBS = ("rib_frequency", "rib_amplitude")
 
 
 def sizes(model: AbstractSurface) -> list[str]:
@@ -82,7 +82,7 @@ def covariance(
     return np.where(np.outer(found, found), matrix * scales, np.inf), found
 
 
-def rivals(ends: Sequence[Settled]) -> list[Settled]:
+def _nearly_as_good(ends: Sequence[Settled]) -> list[Settled]:
     """Other ends that explain the observations almost as well as the first."""
     return [end for end in ends[1:] if end.chi2 - ends[0].chi2 < CLEAR_LEAD]
 
@@ -93,11 +93,11 @@ def _doubtful_ribs(names: Sequence[str], found: np.ndarray, ends: Sequence[Settl
     Ribs that are not there have no frequency, whatever the curvature of the cost says; and where
     another frequency fits almost as well, neither is known, nor how high the ribs are.
     """
-    ribs = [name for name in _RIBS if name in names]
+    ribs = [name for name in RIBS if name in names]
     if "rib_frequency" not in ribs:
         return []
     best = float(ends[0].model.rib_frequency)
-    if any(abs(float(end.model.rib_frequency) - best) > 0.5 for end in rivals(ends)):
+    if any(abs(float(end.model.rib_frequency) - best) > 0.5 for end in _nearly_as_good(ends)):
         return ribs
     return ["rib_frequency"] if not found[names.index(ribs[-1])] else []
 
@@ -107,7 +107,7 @@ def _doubtful_sizes(names: Sequence[str], ends: Sequence[Settled]) -> list[str]:
     if "scale" not in names:
         return []
     best = float(ends[0].model.scale)
-    if any(abs(float(end.model.scale) / best - 1) > 0.03 for end in rivals(ends)):
+    if any(abs(float(end.model.scale) / best - 1) > 0.03 for end in _nearly_as_good(ends)):
         return [name for name in ("scale", *sizes(ends[0].model)) if name in names]
     return []
 
@@ -177,7 +177,7 @@ def stay_at_the_start(
     found = known_alone(end, free, parameters(template))
     unknown = {name for name, yes in zip(free, found, strict=True) if not yes}
     start = {name: getattr(template, name) for name in free if name in unknown}
-    if rest := {name: value for name, value in start.items() if name not in _RIBS}:
+    if rest := {name: value for name, value in start.items() if name not in RIBS}:
         centre = coordinates.inverse(with_values(end.model, rest))
         prior = Prior(centre, np.isin(free, [*rest]).astype(float))
         # What is known in combination with others must not leave where they explain the data.
@@ -185,5 +185,5 @@ def stay_at_the_start(
         model = with_values(end.model, {n: v for n, v in rest.items() if not alone[n]})
         end = dataclasses.replace(again(model, None, prior), chi2=end.chi2)
     # Ribs that do not show need not be in the fit to have values in the result.
-    ribs = {name: value for name, value in start.items() if name in _RIBS}
+    ribs = {name: value for name, value in start.items() if name in RIBS}
     return dataclasses.replace(end, model=with_values(end.model, ribs)) if ribs else end

@@ -101,12 +101,12 @@ def pixel_errors(
     # Distances of the outline's places, which all matches share.
     middle = np.mean([match.distance[~match.forward] for match in others], axis=0)
     observed = target.distance[~target.forward] - middle
-    repeated = same.distance[~same.forward] - middle
+    simulated = same.distance[~same.forward] - middle
     calm = target.length[~target.forward] / (1 + (observed / view.kernel) ** 2)
     # What the parameters can follow may come from elsewhere: a cloud that pulls at the outline.
     rows = np.sqrt(calm)[:, None] * scorer.rows(target)[~target.forward]
     basis = np.linalg.qr(np.concatenate([rows, 1e-3 * np.eye(len(t))]))[0][: len(rows)]
-    one, other = (np.sqrt(calm) * distance for distance in (repeated, observed))
+    one, other = (np.sqrt(calm) * distance for distance in (simulated, observed))
     one = one - basis @ (basis.T @ one)
     likeness = float(np.clip(one @ other / (one @ one + 1e-300), 0.0, 1.0))
     expected = np.mean([_variance(match) for match in others])
@@ -231,14 +231,15 @@ def _half_lag(distance: np.ndarray, calm: np.ndarray) -> float:
 
 def _unresolved(scorer: _Scorer, match: Match) -> Float[np.ndarray, "p p"]:
     """Covariance of the score by parameters that show in a few pixels only, where slopes mislead."""
-    power = (2 * scorer.weighted(match)[:, None] * scorer.rows(match) ** 2)[match.forward]
+    rows = scorer.rows(match)[match.forward]
+    weighted = 2 * scorer.weighted(match)[match.forward, None] * rows
+    power = weighted * rows
     total = power.sum(axis=0) + 1e-300
     pixels = total**2 / (np.sum(power**2, axis=0) + 1e-300)
     length = float(match.length[match.forward].mean())
     blur = max(_BLUR[scorer.view.contour.binary], 1.5 * scorer.noise)
     blur = blur * (_RESOLVED / (pixels * length + 1e-9)) ** 2
     # Pixels by which one unit of t moves what shows; the error in t is at most the typical range.
-    speed = np.sum(power * np.abs(scorer.rows(match)[match.forward]), axis=0) / total + 1e-9
-    weighted = (2 * scorer.weighted(match)[:, None] * scorer.rows(match))[match.forward]
-    information = weighted.T @ scorer.rows(match)[match.forward]
+    speed = np.sum(power * np.abs(rows), axis=0) / total + 1e-9
+    information = weighted.T @ rows
     return (information * np.where(blur < speed, blur / speed, 1.0) ** 2) @ information
