@@ -11,10 +11,11 @@ ROWS = (
     {"observations"},
     {"compilation"},
     {"surfaces"},
-    {"components"},
+    {"components", "colours"},
     {"residuals"},
     {"fitting"},
-    {"flowers", "synthetic", "export"},
+    {"flowers", "synthetic"},
+    {"export"},
     {"report", "studio"},
     {"cli"},
 )

@@ -1,4 +1,4 @@
-"""The command line: `petalfit demo`, `fit`, `synth`, `parameters`; one file a command.
+"""The command line: `petalfit demo`, `fit`, `grow`, `mask`, `synth`, `parameters`; one file a command.
 
 Modules here import jax, scipy, trimesh and the rest of petalfit only inside functions: what
 `petalfit --help` costs is tyro.
@@ -66,12 +66,20 @@ def _run(arguments: list[str]) -> int:
 
     from petalfit.cli.demo import demo
     from petalfit.cli.fit import fit
+    from petalfit.cli.grow import grow
     from petalfit.cli.mask import mask
     from petalfit.cli.parameters import parameters
     from petalfit.cli.synth import synth
 
     return tyro.extras.subcommand_cli_from_dict(
-        {"demo": demo, "fit": fit, "mask": mask, "synth": synth, "parameters": parameters},
+        {
+            "demo": demo,
+            "fit": fit,
+            "grow": grow,
+            "mask": mask,
+            "synth": synth,
+            "parameters": parameters,
+        },
         prog="petalfit",
         description=DESCRIPTION,
         args=arguments or ["--help"],

@@ -1,8 +1,11 @@
 """The organs of the paper as named, differentiable components."""
 
+from petalfit.components.assembly import AbstractAssembly as AbstractAssembly
 from petalfit.components.pedicel import Pedicel as Pedicel
 from petalfit.components.peony_petal import PeonyPetal as PeonyPetal
+from petalfit.components.pistil import CompoundPistil as CompoundPistil
 from petalfit.components.pistil import Ovary as Ovary
+from petalfit.components.pistil import Pistil as Pistil
 from petalfit.components.pistil import Stigma as Stigma
 from petalfit.components.pistil import Style as Style
 from petalfit.components.posed import Posed as Posed
@@ -13,6 +16,7 @@ from petalfit.components.receptacle import CylinderReceptacle as CylinderRecepta
 from petalfit.components.sepal import Sepal as Sepal
 from petalfit.components.stamen import Anther as Anther
 from petalfit.components.stamen import Filament as Filament
+from petalfit.components.stamen import Stamen as Stamen
 from petalfit.surfaces import Cylinder as Cylinder
 from petalfit.surfaces import Ellipsoid as Ellipsoid
 from petalfit.surfaces import Parameter as Parameter

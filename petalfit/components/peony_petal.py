@@ -57,7 +57,7 @@ class PeonyPetal(AbstractDeformedSurface):
         0.6,
         symbol="c",
         unit="rad",
-        bounds=(-0.5, 1.5),
+        bounds=(-2.5, 1.5),
         typical=(0.1, 1.1),
         meaning="phase of the widening from base to tip",
     )

@@ -1,20 +1,25 @@
-"""Parts of the pistil, 2.3 of the paper: ovary (Eq. 5), style (Eq. 6), stigma."""
+"""The pistil, 2.3 of the paper: an ovary (Eq. 5), a style (Eq. 6) and a stigma; and several joined."""
 
 from __future__ import annotations
 
 from typing import ClassVar
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from petalfit.components.assembly import AbstractAssembly
 from petalfit.surfaces import (
     AbstractDeformedSurface,
     AbstractSurface,
     Cylinder,
     Domain,
     Ellipsoid,
+    Pose,
     Scalar,
+    about_y,
     length,
+    parameter,
 )
 
 _PI = jnp.pi
@@ -41,12 +46,21 @@ class Style(AbstractDeformedSurface):
     """Eq. 6: a cylinder of radius r and height 10r, uneven, and bent in z.
 
     Swelling sin(πv − 1) along the outward normal, bend 3 sin(πv); both are lengths as printed, so that a
-    style of another r is no scaled copy. `swell` and `bend` have the printed 1 and 3.
+    style of another r is no scaled copy. `swell`, `bend` and `slenderness` have the printed 1, 3 and 10.
     """
 
     r: Scalar = length(1.5, "r", (0.05, 100.0), (0.5, 6.0), "radius of the cylinder")
     swell: Scalar = length(1.0, "a_1", (-20.0, 20.0), (0.0, 2.0), "extent of the unevenness", True)
     bend: Scalar = length(3.0, "a_2", (-50.0, 50.0), (0.0, 6.0), "extent of the bend", True)
+    slenderness: Scalar = parameter(
+        10.0,
+        symbol="h/r",
+        unit="1",
+        bounds=(0.5, 500.0),
+        typical=(5.0, 40.0),
+        meaning="height in radii",
+        fixed=True,
+    )
     domain: ClassVar[Domain] = Cylinder.domain
     orientation: ClassVar[float] = Cylinder.orientation
     regular: ClassVar[bool] = True
@@ -54,7 +68,7 @@ class Style(AbstractDeformedSurface):
 
     @property
     def base(self) -> Cylinder:
-        return Cylinder(self.r, 10 * self.r)
+        return Cylinder(self.r, self.slenderness * self.r)
 
     def offset(self, u: Array, v: Array) -> Array:
         bend = self.bend * jnp.sin(_PI * v)
@@ -75,3 +89,61 @@ class Stigma(AbstractSurface):
 
     def position(self, u: Array, v: Array) -> Array:
         return Ellipsoid(self.r, self.h, self.r).position(u, v)
+
+
+class Pistil(AbstractAssembly):
+    """A simple pistil, of one carpel: an ovary, a style on the ovary, a stigma on the style."""
+
+    ovary: Ovary = eqx.field(default_factory=Ovary)
+    style: Style = eqx.field(default_factory=lambda: Style(r=0.6, swell=0.25, bend=0.8))
+    stigma: Stigma = eqx.field(default_factory=lambda: Stigma(r=1.0, h=0.6))
+
+    def parts(self) -> dict[str, tuple[Pose, AbstractSurface]]:
+        # Eqs. 5 and 6 end on the axis at both ends. The style begins a little inside of the ovary, and
+        # ends inside of the stigma, so that no gap shows.
+        top = 4 * self.ovary.r - 0.5 * self.style.r
+        return {
+            "ovary": (Pose.at(0.0, 2 * self.ovary.r, 0.0), self.ovary),
+            "style": (Pose.at(0.0, top, 0.0), self.style),
+            "stigma": (Pose.at(0.0, top + self.style.base.h, 0.0), self.stigma),
+        }
+
+
+class CompoundPistil(AbstractAssembly):
+    """A compound pistil, Fig. 5(b): carpels around one axis, so closely staggered that they join.
+
+    Every carpel is a pistil, turned about the axis and moved away from it by `spread` radii of its
+    ovary. Ovaries and styles of neighbours run into one another; their stigmas stay lobes of one.
+
+    Attributes:
+        carpels: How many, at least 2.
+    """
+
+    carpel: Pistil = eqx.field(default_factory=Pistil)
+    spread: Scalar = parameter(
+        0.6,
+        symbol="s",
+        unit="1",
+        bounds=(0.0, 1.0),
+        typical=(0.3, 0.9),
+        meaning="distance of the carpels from the axis, in radii of the ovary",
+    )
+    carpels: int = eqx.field(default=3, static=True)
+
+    def __check_init__(self) -> None:
+        if self.carpels < 2:
+            raise ValueError(f"a compound pistil has 2 carpels or more; received {self.carpels}")
+
+    def parts(self) -> dict[str, tuple[Pose, AbstractSurface]]:
+        carpel, found = self.carpel.parts(), {}
+        # The same place for all parts of a carpel would part the styles: they lean on the axis instead.
+        away = self.spread * self.carpel.ovary.r
+        near = jnp.minimum(jnp.asarray(away), 0.7 * jnp.asarray(self.carpel.style.r))
+        for k in range(self.carpels):
+            turn = about_y(2 * jnp.pi * k / self.carpels)
+            for name, (pose, surface) in carpel.items():
+                # Eq. 5 bends to -z: that side is the outer one.
+                shift = Pose.at(0.0, 0.0, -(away if name == "ovary" else near))
+                whole = Pose(turn, jnp.zeros(3), 1.0) @ shift @ pose
+                found[f"carpel_{k + 1}/{name}"] = (whole, surface)
+        return found

@@ -1,19 +1,25 @@
-"""Parts of the stamen, 2.3 of the paper: anther and filament."""
+"""The stamen, 2.3 of the paper: a filament that carries an anther."""
 
 from __future__ import annotations
 
 from typing import ClassVar
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from petalfit.components.assembly import AbstractAssembly
 from petalfit.surfaces import (
     AbstractDeformedSurface,
+    AbstractSurface,
     Cylinder,
     Domain,
     Ellipsoid,
+    Pose,
     Scalar,
+    about_x,
     length,
+    parameter,
 )
 
 _PI = jnp.pi
@@ -66,3 +72,30 @@ class Filament(AbstractDeformedSurface):
 
     def height(self, u: Array, v: Array, point: Array) -> Array:
         return jnp.asarray(-self.taper * v)
+
+
+class Stamen(AbstractAssembly):
+    """A filament with an anther at its tip, which follows the filament's height and lean.
+
+    With `tilt` 0 the anther stands upright, the filament ending in its middle; with π/2 it lies across
+    the tip, as the versatile anthers of a lily do.
+    """
+
+    filament: Filament = eqx.field(default_factory=Filament)
+    anther: Anther = eqx.field(default_factory=Anther)
+    tilt: Scalar = parameter(
+        0.0,
+        symbol="τ",
+        unit="rad",
+        bounds=(-3.2, 3.2),
+        typical=(-1.6, 1.6),
+        meaning="how far the anther is tipped over",
+    )
+
+    def parts(self) -> dict[str, tuple[Pose, AbstractSurface]]:
+        filament = self.filament
+        tip = Pose.at(0.0, filament.h, filament.a_2)
+        return {
+            "filament": (Pose.identity(), filament),
+            "anther": (Pose(about_x(self.tilt), tip.translation, 1.0), self.anther),
+        }

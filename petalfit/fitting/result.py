@@ -17,7 +17,7 @@ from petalfit.components import Parameter, Posed, parameters
 from petalfit.fitting.targets import target_from_json, target_to_json
 from petalfit.observations import PointCloud, Silhouette, TargetError
 from petalfit.observations.atomic import atomic_path
-from petalfit.surfaces import AbstractSurface
+from petalfit.surfaces import AbstractSurface, Pose
 
 if TYPE_CHECKING:
     import trimesh
@@ -37,26 +37,6 @@ class FitError(RuntimeError):
     def __init__(self, message: str, result: FitResult) -> None:
         super().__init__(message)
         self.result = result
-
-
-@dataclasses.dataclass(frozen=True)
-class Pose:
-    """Maps the model's frame to the target's: x_target = scale · R x_model + t.
-
-    Attributes:
-        rotation: R_target_model, shape (3, 3).
-        translation: t, shape (3,), in the target's unit.
-        scale: Positive.
-    """
-
-    rotation: Float64[np.ndarray, "3 3"]
-    translation: Float64[np.ndarray, "3"]
-    scale: float
-
-    @classmethod
-    def identity(cls) -> Pose:
-        """The pose of a target that is in the model's frame."""
-        return cls(np.eye(3), np.zeros(3), 1.0)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -281,10 +261,7 @@ class FitResult:
 
     def mesh(self, resolution: tuple[int, int] = (65, 65)) -> trimesh.Trimesh:
         """The fitted surface as a triangle mesh with UVs, in the target's frame."""
-        matrix = np.eye(4)
-        matrix[:3, :3] = self.pose.scale * self.pose.rotation
-        matrix[:3, 3] = self.pose.translation
-        return self.model.mesh(resolution).apply_transform(matrix)
+        return self.model.mesh(resolution).apply_transform(self.pose.matrix())
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write everything as JSON, lossless; `load` gives it back. Whole or not at all."""

@@ -10,10 +10,10 @@ import numpy as np
 
 from petalfit.components import Parameter, Posed, bare, parameters
 from petalfit.fitting.determined import combinations, covariance
-from petalfit.fitting.result import Agreement, FitResult, Pose, Start, rivals
+from petalfit.fitting.result import Agreement, FitResult, Start, rivals
 from petalfit.fitting.rounds import Settled
 from petalfit.observations import PointCloud, Silhouette
-from petalfit.surfaces import AbstractSurface
+from petalfit.surfaces import AbstractSurface, Pose
 
 # Distances of more than this fraction of a target's size are no noise.
 _MISFIT = 0.02

@@ -202,7 +202,7 @@ def _table_notes(result: FitResult) -> str:
     if result.pose.scale != 1.0:
         notes.append(
             "Lengths are in the model's unit; one of it is "
-            f"{plain(result.pose.scale, 6)} of the target's."
+            f"{plain(float(result.pose.scale), 6)} of the target's."
         )
     return f'<p class="soft">{" ".join(notes)}</p>'
 

@@ -37,6 +37,11 @@ class Canvas:
         """What was drawn, transparent where nothing is."""
         return self._rgba.reshape(*self.shape, 4)
 
+    @property
+    def depth(self) -> Float[np.ndarray, "h w"]:
+        """Of what was drawn; larger is nearer to the viewer, −inf where nothing is."""
+        return self._nearest.reshape(*self.shape)
+
     def sheet(
         self,
         xy: Float[np.ndarray, "n_u n_v 2"],

@@ -53,7 +53,7 @@ class Scene:
             points = (part.target.points[chosen] - pose.translation) @ pose.rotation
             distances, used = part.distances[chosen], part.weights[chosen] > 0
         return cls(
-            pose.scale * np.array(mesh.vertices).reshape(*_RESOLUTION, 3),
+            float(pose.scale) * np.array(mesh.vertices).reshape(*_RESOLUTION, 3),
             np.array(mesh.vertex_normals).reshape(*_RESOLUTION, 3),
             points,
             distances,

@@ -7,6 +7,9 @@ from petalfit.surfaces.parameter import Parameter as Parameter
 from petalfit.surfaces.parameter import length as length
 from petalfit.surfaces.parameter import parameter as parameter
 from petalfit.surfaces.parameter import parameters as parameters
+from petalfit.surfaces.pose import Pose as Pose
+from petalfit.surfaces.pose import about_x as about_x
+from petalfit.surfaces.pose import about_y as about_y
 from petalfit.surfaces.shapes import Cylinder as Cylinder
 from petalfit.surfaces.shapes import Ellipsoid as Ellipsoid
 from petalfit.surfaces.shapes import Rectangle as Rectangle
@@ -17,3 +20,5 @@ from petalfit.surfaces.surface import AbstractSurface as AbstractSurface
 from petalfit.surfaces.surface import Domain as Domain
 from petalfit.surfaces.surface import Scalar as Scalar
 from petalfit.surfaces.surface import position_and_tangents as position_and_tangents
+from petalfit.surfaces.tessellation import grid_faces as grid_faces
+from petalfit.surfaces.tessellation import grid_uv as grid_uv

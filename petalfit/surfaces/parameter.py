@@ -59,15 +59,19 @@ def length(
     )
 
 
-def parameters(model: AbstractSurface | type[AbstractSurface]) -> dict[str, Parameter]:
-    """The declared parameters of a component, by field name, in their order of declaration.
+def parameters(model: eqx.Module | type[eqx.Module]) -> dict[str, Parameter]:
+    """The declared parameters of a component or a pattern, by field name, in their order of declaration.
 
-    Those of a component within an instance come at its field's place.
+    Those of a component within an instance come at its field's place: a surface's by their own names, the
+    parts of an assembly by dotted ones, as in "filament.h".
     """
     found = {}
     for field in dataclasses.fields(model):
+        part = getattr(model, field.name, None)
         if _KEY in field.metadata:
             found[field.name] = field.metadata[_KEY]
-        elif isinstance(part := getattr(model, field.name, None), AbstractSurface):
+        elif isinstance(part, AbstractSurface) and isinstance(model, AbstractSurface):
             found |= parameters(part)
+        elif isinstance(part, eqx.Module):
+            found |= {f"{field.name}.{name}": p for name, p in parameters(part).items()}
     return found

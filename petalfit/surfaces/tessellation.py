@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import jax
 import numpy as np
+from jaxtyping import Float, Int
 
 from petalfit.surfaces.programs import position_and_normal
 from petalfit.surfaces.surface import AbstractSurface
@@ -38,8 +39,23 @@ def tessellate(surface: AbstractSurface, resolution: tuple[int, int] = (65, 65))
     u, v = (x.ravel() for x in np.meshgrid(u, v, indexing="ij"))
     with jax.enable_x64(True):
         vertices, normals = (np.asarray(x) for x in position_and_normal(surface, u, v))
-    (u_low, u_high), (v_low, v_high) = surface.domain
-    uv = np.stack([(u - u_low) / (u_high - u_low), (v - v_low) / (v_high - v_low)], axis=-1)
+    return trimesh.Trimesh(
+        vertices,
+        grid_faces(resolution, surface.orientation),
+        vertex_normals=normals,
+        visual=TextureVisuals(uv=grid_uv(resolution)),
+        process=False,
+    )
+
+
+def grid_faces(resolution: tuple[int, int], orientation: float) -> Int[np.ndarray, "m 3"]:
+    """Two triangles for every cell of a grid, whose v runs fastest.
+
+    Args:
+        resolution: Number of vertices along u and along v.
+        orientation: The surface's; −1 winds the triangles the other way.
+    """
+    n_u, n_v = resolution
     corner = (np.arange(n_u - 1)[:, None] * n_v + np.arange(n_v - 1)).ravel()
     across, along = corner + n_v, corner + 1
     faces = np.concatenate(
@@ -48,10 +64,10 @@ def tessellate(surface: AbstractSurface, resolution: tuple[int, int] = (65, 65))
             np.stack([corner, across + 1, along], axis=-1),
         ]
     )
-    return trimesh.Trimesh(
-        vertices,
-        faces if surface.orientation > 0 else faces[:, ::-1],
-        vertex_normals=normals,
-        visual=TextureVisuals(uv=uv),
-        process=False,
-    )
+    return faces if orientation > 0 else faces[:, ::-1]
+
+
+def grid_uv(resolution: tuple[int, int]) -> Float[np.ndarray, "n 2"]:
+    """Texture coordinates of a grid of the whole domain, (u, v) scaled to [0, 1]²."""
+    u, v = (np.linspace(0, 1, n) for n in resolution)
+    return np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)

@@ -55,7 +55,7 @@ def ovary(p, u, v):
 
 
 def style(p, u, v):
-    points, n = cylinder(p.r, 10 * p.r, u, v)
+    points, n = cylinder(p.r, p.slenderness * p.r, u, v)
     swell = p.swell * np.sin(PI * v - 1)
     return points + n * swell[..., None] + vector(0, 0, p.bend * np.sin(PI * v))
 
@@ -220,5 +220,6 @@ def test_an_organ_comes_back_from_its_own_cloud(name):
 
 
 def test_a_style_has_the_printed_constants():
-    assert (pf.Style().swell, pf.Style().bend) == (1.0, 3.0)
-    assert all(pf.parameters(pf.Style)[name].fixed for name in ("swell", "bend"))
+    assert (pf.Style().swell, pf.Style().bend, pf.Style().slenderness) == (1.0, 3.0, 10.0)
+    constants = ("swell", "bend", "slenderness")
+    assert all(pf.parameters(pf.Style)[name].fixed for name in constants)

@@ -1,0 +1,94 @@
+"""Patterns of intensity on a petal: centre, side and ring (Eq. 9), and ribs (Eq. 10)."""
+
+from __future__ import annotations
+
+import abc
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float, Real
+
+from petalfit.surfaces import Scalar, parameter
+
+
+class AbstractPattern(eqx.Module):
+    """An intensity I(u, v) on the petal's domain, u ∈ [−½, ½] and v ∈ [0, 1]."""
+
+    @abc.abstractmethod
+    def intensity(self, u: Float[Array, "*shape"], v: Float[Array, "*shape"]) -> Array:
+        """The equation itself, for u and v of one shape."""
+
+    def __call__(self, u: Real[ArrayLike, "..."], v: Real[ArrayLike, "..."]) -> Float[Array, "..."]:
+        """Intensities, the broadcast shape of u and v; not clipped to [0, 1]."""
+        dtype = jnp.result_type(u, v, float)
+        u, v = jnp.broadcast_arrays(jnp.asarray(u, dtype), jnp.asarray(v, dtype))
+        return self.intensity(u, v)
+
+
+def _number(
+    default: float,
+    symbol: str,
+    bounds: tuple[float, float],
+    typical: tuple[float, float],
+    meaning: str,
+    unit: str = "1",
+) -> Any:
+    return parameter(
+        default, symbol=symbol, unit=unit, bounds=bounds, typical=typical, meaning=meaning
+    )
+
+
+def _ground() -> Any:
+    return _number(0.0, "I_1", (-2.0, 3.0), (0.0, 0.6), "intensity of the ground")
+
+
+def _contrast() -> Any:
+    return _number(1.0, "I_2", (-4.0, 4.0), (0.2, 1.0), "how much the pattern adds")
+
+
+class RadialPattern(AbstractPattern):
+    """Eq. 9: I₁ + I₂ sinⁿ(v π f + φ).
+
+    The paper says that the intensity runs from I₁ to I₂; as printed it runs to I₁ + I₂. For a sine
+    below zero the power is the real part of its principal value, |sin|ⁿ cos(πn): what is printed for
+    every whole n, and continuous between them.
+    """
+
+    i_1: Scalar = _ground()
+    i_2: Scalar = _contrast()
+    n: Scalar = _number(2.0, "n", (0.05, 60.0), (0.5, 6.0), "sharpness of the rings")
+    f: Scalar = _number(1.0, "f", (0.02, 30.0), (0.3, 4.0), "rings, in half waves along the petal")
+    phi: Scalar = _number(0.0, "φ", (-3.2, 3.2), (-1.6, 1.6), "phase at the base", "rad")
+
+    def intensity(self, u: Array, v: Array) -> Array:
+        sine = jnp.sin(v * jnp.pi * self.f + self.phi)
+        sign = jnp.where(sine < 0, jnp.cos(jnp.pi * self.n), 1.0)
+        return jnp.asarray(self.i_1 + self.i_2 * sign * power(jnp.abs(sine), self.n))
+
+
+class RibPattern(AbstractPattern):
+    """Eq. 10: I₁ + I₂ sin(f (u + ½) π) (1 − v)^n₁ v^n₂ (1 − 2|u|)^k.
+
+    The number of half waves across the petal is f; n₁ and n₂ fade the ribs to the tip and to the base, k
+    to the sides.
+    """
+
+    i_1: Scalar = _ground()
+    i_2: Scalar = _contrast()
+    f: Scalar = _number(9.0, "f", (0.1, 120.0), (3.0, 40.0), "ribs, in half waves across")
+    n_1: Scalar = _number(0.5, "n_1", (0.0, 30.0), (0.0, 3.0), "how fast ribs fade to the tip")
+    n_2: Scalar = _number(0.5, "n_2", (0.0, 30.0), (0.0, 3.0), "how fast ribs fade to the base")
+    k: Scalar = _number(0.5, "k", (0.0, 30.0), (0.0, 3.0), "how fast ribs fade to the sides")
+
+    def intensity(self, u: Array, v: Array) -> Array:
+        wave = jnp.sin(self.f * (u + 0.5) * jnp.pi)
+        fade = power(1 - v, self.n_1) * power(v, self.n_2) * power(1 - 2 * jnp.abs(u), self.k)
+        return jnp.asarray(self.i_1 + self.i_2 * wave * fade)
+
+
+def power(base: Array, exponent: Scalar) -> Array:
+    """base^exponent for a base of 0 or more, with finite derivatives at 0; 0⁰ is 1."""
+    positive = base > 0
+    at_zero = jnp.where(jnp.asarray(exponent) == 0, 1.0, 0.0)
+    return jnp.where(positive, jnp.where(positive, base, 1.0) ** exponent, at_zero)

@@ -1,0 +1,42 @@
+"""sRGB, in which pictures store light, and linear light, in which colours mix (IEC 61966-2-1)."""
+
+from __future__ import annotations
+
+import re
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+_HEX = re.compile(r"#[0-9a-fA-F]{6}")
+
+
+def to_linear(srgb: Float[Array | np.ndarray, "*shape"]) -> Float[Array, "*shape"]:
+    """Linear light of sRGB values, both in [0, 1]."""
+    srgb = jnp.asarray(srgb)
+    curved = ((jnp.maximum(srgb, 0.04045) + 0.055) / 1.055) ** 2.4
+    return jnp.where(srgb <= 0.04045, srgb / 12.92, curved)
+
+
+def to_srgb(linear: Float[Array | np.ndarray, "*shape"]) -> Float[Array, "*shape"]:
+    """SRGB values of linear light, both in [0, 1]."""
+    linear = jnp.asarray(linear)
+    curved = 1.055 * jnp.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055
+    return jnp.where(linear <= 0.0031308, 12.92 * linear, curved)
+
+
+def from_hex(text: str) -> Float[np.ndarray, "3"]:
+    """The sRGB values of a colour as CSS writes it, "#c2185b".
+
+    Raises:
+        ValueError: It is no such text.
+    """
+    if not _HEX.fullmatch(text):
+        raise ValueError(f"a colour is written like '#c2185b'; received {text!r}")
+    return np.array([int(text[k : k + 2], 16) / 255 for k in (1, 3, 5)])
+
+
+def to_hex(srgb: Float[Array | np.ndarray, "3"]) -> str:
+    """The colour as CSS writes it, to the nearest of 256 levels."""
+    levels = np.rint(255 * np.clip(np.asarray(srgb, float), 0, 1)).astype(int)
+    return "#" + "".join(f"{level:02x}" for level in levels)

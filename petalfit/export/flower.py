@@ -1,0 +1,246 @@
+"""A whole flower as a mesh file: glTF with organs as named nodes, or plain OBJ, PLY and STL."""
+
+from __future__ import annotations
+
+import io
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import jax
+import numpy as np
+
+from petalfit import __version__  # pyright: ignore[reportAttributeAccessIssue]  # not lazy
+from petalfit.colours import Colour, to_linear
+from petalfit.components import AbstractAssembly, parameters
+from petalfit.export.mesh import SUFFIXES, obj_text
+from petalfit.flowers import Flower, Grown, grow
+from petalfit.observations.atomic import atomic_path
+from petalfit.surfaces import AbstractSurface, grid_faces, grid_uv
+
+if TYPE_CHECKING:
+    import trimesh
+    from trimesh.visual.material import PBRMaterial
+
+_TEXTURE = (256, 256)
+_ROUGHNESS = 0.75
+
+
+def export_flower(flower: Flower, path: str | os.PathLike[str]) -> None:
+    """Write a flower, +y up, in the format that the suffix names.
+
+    - `.glb`: binary glTF. Every organ is a node of its name, posed as it stands, with its parameters in
+      `extras`; the parts of an organ are nodes below it. Colours with patterns are embedded textures in
+      sRGB, plain ones factors in linear light, as glTF wants them.
+    - `.obj`: one group an organ, with texture coordinates and normals.
+    - `.ply`, `.stl`: binary, one mesh of all.
+
+    The file is written whole or not at all, and is the same to the byte for the same flower.
+
+    Args:
+        flower: The flower.
+        path: The file; an existing one is replaced.
+
+    Raises:
+        ValueError: The suffix is none of these.
+        FlowerError: The flower would not fit into memory.
+        OSError: The file cannot be written.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in SUFFIXES:
+        raise ValueError(
+            f"{os.fspath(path)} has the suffix {suffix!r}; meshes are written as {' '.join(SUFFIXES)}."
+        )
+    content = _WRITERS[suffix](flower)
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def flower_scene(flower: Flower) -> trimesh.Scene:
+    """The flower as a scene of named nodes; what `export_flower` writes as glTF."""
+    import trimesh
+
+    scene = trimesh.Scene(metadata={"petalfit": {"version": __version__, "flower": flower.name}})
+    scene.graph.update(frame_to=flower.name, matrix=np.eye(4))
+    seen: dict[bytes, str] = {}
+    for grown in grow(flower):
+        label = _label(flower, grown)
+        material = _material(flower.colour(grown.part), label)
+        for k, mesh in enumerate(_meshes(grown)):
+            mesh.visual.material = material  # pyright: ignore
+            organ, node = _names(flower, grown, k)
+            parent = flower.name
+            if organ != node:
+                # A part: below its organ, which is a node without a mesh of its own.
+                if organ not in scene.graph.nodes:
+                    scene.graph.update(
+                        frame_to=organ,
+                        frame_from=flower.name,
+                        matrix=grown.outer[k],
+                        metadata={"petalfit": _organ_extras(flower, grown, k)},
+                    )
+                parent = _below(scene, organ, node)
+            matrix = grown.inner[k] if organ != node else grown.outer[k] @ grown.inner[k]
+            # Organs that are alike share one mesh.
+            key = label.encode() + np.asarray(mesh.vertices).tobytes()
+            if key not in seen:
+                seen[key] = node
+                scene.geometry[node] = mesh
+            scene.graph.update(
+                frame_to=node,
+                frame_from=parent,
+                matrix=matrix,
+                geometry=seen[key],
+                metadata={"petalfit": _extras(flower, grown, k)},
+            )
+    return scene
+
+
+def _below(scene: trimesh.Scene, organ: str, node: str) -> str:
+    """The node that a part stands below: its organ, or the part of the organ that its path names."""
+    group = node.rpartition("/")[0]
+    if group != organ and group not in scene.graph.nodes:
+        scene.graph.update(frame_to=group, frame_from=organ, matrix=np.eye(4))
+    return group
+
+
+def _names(flower: Flower, grown: Grown, k: int) -> tuple[str, str]:
+    """Of the organ's node, and of the part's."""
+    part = grown.part
+    if part.series < 0:
+        return part.label, part.label
+    organ = flower.series[part.series].names[k]
+    return organ, f"{organ}/{part.name}" if part.name else organ
+
+
+def _label(flower: Flower, grown: Grown) -> str:
+    """What all organs of a series share, for materials."""
+    part = grown.part
+    if part.series < 0:
+        return part.label
+    series = flower.series[part.series].name
+    return f"{series}/{part.name}" if part.name else series
+
+
+def _extras(flower: Flower, grown: Grown, k: int) -> dict[str, Any]:
+    """The numbers of one surface; of an organ that is nothing else, how it stands too."""
+    surface = jax.tree.map(lambda leaf: float(leaf[k]), grown.part.surface)
+    extras = {"component": type(surface).__name__, "parameters": _values(surface)}
+    if grown.part.series >= 0 and not grown.part.name:
+        extras["attachment"] = _attachment(flower, grown, k)
+    return extras
+
+
+def _organ_extras(flower: Flower, grown: Grown, k: int) -> dict[str, Any]:
+    """The numbers of an assembly that belong to none of its parts."""
+    organ = jax.tree.map(float, flower.series[grown.part.series].one(k))
+    return {
+        "component": type(organ).__name__,
+        "parameters": _values(organ),
+        "attachment": _attachment(flower, grown, k),
+    }
+
+
+def _values(organ: AbstractSurface | AbstractAssembly) -> dict[str, float]:
+    return {name: getattr(organ, name) for name in parameters(organ) if "." not in name}
+
+
+def _attachment(flower: Flower, grown: Grown, k: int) -> dict[str, float]:
+    values = vars(flower.series[grown.part.series].attachment)
+    return {name: float(value[k]) for name, value in values.items()}
+
+
+def _meshes(grown: Grown) -> list[trimesh.Trimesh]:
+    """In the frame of the part."""
+    import trimesh
+    from trimesh.visual import TextureVisuals
+
+    shape = grown.vertices.shape[1:3]
+    faces, uv = grid_faces(shape, grown.part.surface.orientation), grid_uv(shape)
+    return [
+        trimesh.Trimesh(
+            vertices.reshape(-1, 3),
+            faces,
+            vertex_normals=normals.reshape(-1, 3),
+            visual=TextureVisuals(uv=uv),
+            process=False,
+        )
+        for vertices, normals in zip(grown.vertices, grown.normals, strict=True)
+    ]
+
+
+def _material(colour: Colour, name: str) -> PBRMaterial:
+    from PIL import Image
+    from trimesh.visual.material import PBRMaterial
+
+    options: dict[str, Any] = {"metallicFactor": 0.0, "roughnessFactor": _ROUGHNESS}
+    options |= {"name": name, "doubleSided": True}
+    if colour.is_plain:
+        linear = [float(part) for part in to_linear(colour.palette[0])]
+        return PBRMaterial(baseColorFactor=[*linear, 1.0], **options)
+    picture = Image.fromarray(colour.texture(_TEXTURE))
+    return PBRMaterial(baseColorTexture=picture, **options)
+
+
+def _glb(flower: Flower) -> bytes:
+    from trimesh.exchange.gltf import export_glb
+
+    return export_glb(flower_scene(flower), include_normals=True)
+
+
+def _posed(flower: Flower) -> list[tuple[str, trimesh.Trimesh]]:
+    """Every surface by its name, in the flower's frame."""
+    found = []
+    for grown in grow(flower):
+        for k, mesh in enumerate(_meshes(grown)):
+            matrix = grown.outer[k] @ grown.inner[k]
+            turn = matrix[:3, :3] / np.cbrt(np.linalg.det(matrix[:3, :3]))
+            normals = mesh.vertex_normals @ turn.T
+            mesh.apply_transform(matrix)
+            mesh.vertex_normals = normals
+            found.append((_names(flower, grown, k)[1], mesh))
+    return found
+
+
+def _obj(flower: Flower) -> bytes:
+    lines, offset = [f"# {flower.name} grown by petalfit {__version__}\n"], 0
+    for name, mesh in _posed(flower):
+        text = io.StringIO(obj_text(mesh))
+        lines.append(f"o {name}\n")
+        for line in text:
+            if line.startswith("f "):
+                corners = [int(corner.split("/")[0]) + offset for corner in line.split()[1:]]
+                line = "f " + " ".join(f"{c}/{c}/{c}" for c in corners) + "\n"
+            if not line.startswith(("o ", "#")):
+                lines.append(line)
+        offset += len(mesh.vertices)
+    return "".join(lines).encode()
+
+
+def _whole(flower: Flower) -> trimesh.Trimesh:
+    import trimesh
+
+    meshes = [mesh for _, mesh in _posed(flower)]
+    offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
+    faces = [mesh.faces + offset for mesh, offset in zip(meshes, offsets, strict=True)]
+    return trimesh.Trimesh(
+        np.concatenate([mesh.vertices for mesh in meshes]),
+        np.concatenate(faces),
+        vertex_normals=np.concatenate([mesh.vertex_normals for mesh in meshes]),
+        process=False,
+    )
+
+
+def _ply(flower: Flower) -> bytes:
+    from trimesh.exchange.ply import export_ply
+
+    return export_ply(_whole(flower), vertex_normal=True)
+
+
+def _stl(flower: Flower) -> bytes:
+    from trimesh.exchange.stl import export_stl
+
+    return export_stl(_whole(flower))
+
+
+_WRITERS = {".glb": _glb, ".obj": _obj, ".ply": _ply, ".stl": _stl}

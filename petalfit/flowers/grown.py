@@ -1,0 +1,128 @@
+"""A flower as grids of points: what files and pictures of it are made from."""
+
+from __future__ import annotations
+
+import os
+from typing import NamedTuple, TypeAlias
+
+import jax
+import numpy as np
+from jaxtyping import Array, Float
+
+from petalfit.compilation import Program
+from petalfit.flowers.flower import Flower, Part
+from petalfit.flowers.settings import FlowerError
+from petalfit.surfaces import AbstractSurface, Pose
+
+# Vertices along u and along v: petals have ribs across and a midrib, other organs are smooth.
+PETAL, ROUND = (65, 33), (25, 17)
+# Surfaces are evaluated so many at a time, so that flowers of any size share one compiled program.
+_AT_ONCE = 16
+# What a vertex takes on its way into a file, with normals, texture coordinates, faces and copies.
+_BYTES = 400
+
+
+class Grown(NamedTuple):
+    """One surface of every organ of a series, on a grid of its domain.
+
+    Attributes:
+        part: What it is; its leaves are NumPy's.
+        vertices: In the frame of the part, shape (k, n_u, n_v, 3).
+        normals: Unit normals there.
+        inner: From the part's frame to the organ's, shape (k, 4, 4).
+        outer: From the organ's frame to the flower's, shape (k, 4, 4).
+    """
+
+    part: Part
+    vertices: Float[np.ndarray, "k n_u n_v 3"]
+    normals: Float[np.ndarray, "k n_u n_v 3"]
+    inner: Float[np.ndarray, "k 4 4"]
+    outer: Float[np.ndarray, "k 4 4"]
+
+
+def resolution(surface: AbstractSurface) -> tuple[int, int]:
+    """Vertices along u and along v."""
+    return PETAL if all(surface.edges) else ROUND
+
+
+def grow(flower: Flower) -> list[Grown]:
+    """All surfaces of a flower on their grids.
+
+    Raises:
+        FlowerError: They would not fit into memory.
+    """
+    named: list[tuple[int, str]] = []
+
+    def shapes(flower: Flower) -> list[_Posed]:
+        parts = flower.parts()
+        named.extend((part.series, part.name) for part in parts)
+        return [(part.surface, part.inner, part.outer) for part in parts]
+
+    with jax.enable_x64(True):
+        posed = jax.eval_shape(shapes, flower)
+        sizes = [(len(outer.translation), *resolution(surface)) for surface, _, outer in posed]
+        require_memory(float(np.sum(np.prod(sizes, axis=1, dtype=float))))
+        leaves = [np.asarray(leaf) for leaf in _leaves(flower)]
+        posed = jax.tree.unflatten(jax.tree.structure(posed), leaves)
+        return [_grown(Part(*name, *part)) for name, part in zip(named, posed, strict=True)]
+
+
+def require_memory(vertices: float) -> None:
+    """Refuses a flower before it is grown.
+
+    Raises:
+        FlowerError: So many vertices would take more than half of the memory that is free.
+    """
+    needed, free = _BYTES * vertices, _free_memory()
+    if needed > 0.5 * free:
+        raise FlowerError(
+            f"the flower would have {vertices:.3g} vertices and take some {needed / 1e9:.2g} GB to grow, "
+            f"where {free / 1e9:.2g} GB are free: give it fewer organs."
+        )
+
+
+def _free_memory() -> float:
+    try:
+        return float(os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    except (AttributeError, ValueError, OSError):  # Windows and macOS do not say
+        return 8e9
+
+
+_Posed: TypeAlias = tuple[AbstractSurface, Pose, Pose]
+
+
+def _posed_leaves(flower: Flower) -> list[Array]:
+    return jax.tree.leaves([(p.surface, p.inner, p.outer) for p in flower.parts()])
+
+
+def _sheets(surface: AbstractSurface, u: Array, v: Array) -> tuple[Array, Array]:
+    def sheet(one: AbstractSurface) -> tuple[Array, Array]:
+        return one(u[:, None], v[None, :]), one.normal(u[:, None], v[None, :])
+
+    return jax.vmap(sheet)(surface)
+
+
+_leaves = Program(_posed_leaves)
+_sheet = Program(_sheets)
+
+
+def _grown(part: Part) -> Grown:
+    u, v = (
+        np.linspace(*side, n)
+        for side, n in zip(part.surface.domain, resolution(part.surface), strict=True)
+    )
+    k = len(part.outer.translation)
+    rows = []
+    for first in range(0, k, _AT_ONCE):
+        which = np.minimum(np.arange(first, first + _AT_ONCE), k - 1)
+        some = jax.tree.map(lambda leaf, which=which: leaf[which], part.surface)
+        rows.append([np.asarray(array)[: k - first] for array in _sheet(some, u, v)])
+    vertices, normals = (np.concatenate(arrays) for arrays in zip(*rows, strict=True))
+    return Grown(part, vertices, normals, _matrices(part.inner), _matrices(part.outer))
+
+
+def _matrices(pose: Pose) -> Float[np.ndarray, "k 4 4"]:
+    matrices = np.tile(np.eye(4), (len(pose.translation), 1, 1))
+    matrices[:, :3, :3] = np.asarray(pose.scale)[:, None, None] * np.asarray(pose.rotation)
+    matrices[:, :3, 3] = pose.translation
+    return matrices

@@ -1,0 +1,168 @@
+"""Pictures of organs and flowers: coloured sheets, lit from above the viewer's left."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Array, Float, UInt8
+
+from petalfit.colours import Colour, to_srgb
+from petalfit.compilation import Program
+from petalfit.flowers import Flower, Grown, grow
+from petalfit.observations.atomic import atomic_path
+from petalfit.report.raster import Canvas, png
+
+_LIGHT = np.array([-0.5, 0.75, 0.6]) / np.linalg.norm([-0.5, 0.75, 0.6])
+_MARGIN = 0.04
+_FINE = 2  # pixels drawn for every pixel shown, each way
+
+
+class Sheet(NamedTuple):
+    """A surface on a grid.
+
+    Attributes:
+        vertices: Shape (n_u, n_v, 3); y is up.
+        normals: Unit normals.
+        linear: Colours in linear light, in [0, 1].
+    """
+
+    vertices: Float[np.ndarray, "n_u n_v 3"]
+    normals: Float[np.ndarray, "n_u n_v 3"]
+    linear: Float[np.ndarray, "n_u n_v 3"]
+
+
+def flower_sheets(flower: Flower) -> list[Sheet]:
+    """Every surface of a flower in its frame, with its colours."""
+    return [sheet for grown in grow(flower) for sheet in _coloured(grown, flower)]
+
+
+def _coloured(grown: Grown, flower: Flower) -> list[Sheet]:
+    linear = colours_on(flower.colour(grown.part), grown.vertices.shape[1:3])
+    matrices = grown.outer @ grown.inner
+    turned = matrices[:, :3, :3] / np.cbrt(np.linalg.det(matrices[:, :3, :3]))[:, None, None]
+    return [
+        Sheet(vertices @ matrix[:3, :3].T + matrix[:3, 3], normals @ turn.T, linear)
+        for vertices, normals, matrix, turn in zip(
+            grown.vertices, grown.normals, matrices, turned, strict=True
+        )
+    ]
+
+
+def colours_on(colour: Colour, shape: tuple[int, int]) -> Float[np.ndarray, "n_u n_v 3"]:
+    """Linear colours at the vertices of a grid of the whole domain."""
+    u, v = np.linspace(-0.5, 0.5, shape[0]), np.linspace(0, 1, shape[1])
+    with jax.enable_x64(True):
+        return np.asarray(_colours(colour, u[:, None], v[None, :]))
+
+
+def _evaluate(colour: Colour, u: Array, v: Array) -> Array:
+    return colour(u, v)
+
+
+_colours = Program(_evaluate)
+
+
+def portrait(
+    sheets: Sequence[Sheet],
+    shape: tuple[int, int] = (900, 900),
+    azimuth: float = 0.4,
+    elevation: float = 0.5,
+) -> UInt8[np.ndarray, "h w 4"]:
+    """Sheets as an orthographic picture, all of them in view, transparent where there are none.
+
+    Args:
+        sheets: What is drawn.
+        shape: Height and width in pixels.
+        azimuth: Where the viewer stands, in rad from +z towards +x.
+        elevation: How far the viewer is above the horizon, in rad.
+
+    Returns:
+        sRGB and opacity.
+    """
+    to_viewer = np.array(
+        [
+            [math.cos(azimuth), 0.0, -math.sin(azimuth)],
+            [-math.sin(elevation) * math.sin(azimuth), math.cos(elevation),
+             -math.sin(elevation) * math.cos(azimuth)],
+            [math.cos(elevation) * math.sin(azimuth), math.sin(elevation),
+             math.cos(elevation) * math.cos(azimuth)],
+        ]
+    )  # fmt: skip
+    height, width = (_FINE * side for side in shape)
+    seen = [sheet.vertices @ to_viewer.T for sheet in sheets]
+    corners = np.concatenate([points.reshape(-1, 3) for points in seen])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    size = np.maximum(high - low, 1e-9)
+    scale = float((1 - 2 * _MARGIN) * min(width / size[0], height / size[1]))
+    middle = 0.5 * (low + high)
+    canvas = Canvas((height, width))
+    for points, sheet in zip(seen, sheets, strict=True):
+        x = 0.5 * width + scale * (points[..., 0] - middle[0])
+        y = 0.5 * height - scale * (points[..., 1] - middle[1])
+        canvas.sheet(np.stack([x, y], axis=-1), points[..., 2], _lit(sheet, to_viewer))
+    return _reduced(_shaded(canvas, scale))
+
+
+def _lit(sheet: Sheet, to_viewer: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "n_u n_v 3"]:
+    """SRGB of a sheet that is matt, a little translucent, and the same on both sides."""
+    normals = sheet.normals @ to_viewer.T
+    normals = np.where(normals[..., 2:] < 0, -normals, normals)
+    cosine = normals @ _LIGHT
+    front, through = np.clip(cosine, 0, 1), np.clip(-cosine, 0, 1)
+    sky = 0.5 + 0.5 * normals[..., 1]
+    strength = 0.40 + 0.25 * sky + 0.60 * front + 0.30 * through
+    with jax.enable_x64(True):
+        return np.asarray(_srgb(np.clip(sheet.linear * strength[..., None], 0, 1)))
+
+
+_srgb = Program(to_srgb)
+
+
+def _shaded(canvas: Canvas, scale: float) -> UInt8[np.ndarray, "h w 4"]:
+    """Darker where what is around stands nearer to the viewer: the depths between petals."""
+    from scipy.ndimage import gaussian_filter
+
+    rgba = canvas.rgba
+    covered = (rgba[..., 3] > 0).astype(np.float32)
+    if not covered.any():
+        return rgba
+    depth = np.where(covered > 0, scale * canvas.depth, 0.0).astype(np.float32)
+    dark = np.ones(depth.shape, np.float32)
+    for reach in (6.0, 24.0):
+        around = gaussian_filter(depth, reach) / np.maximum(gaussian_filter(covered, reach), 1e-3)
+        behind = np.clip((around - depth) / (2.5 * reach), 0, None)
+        dark -= 0.4 * behind * np.exp(-behind)  # and less where it is far behind
+    shaded = rgba.copy()
+    shaded[..., :3] = np.rint(rgba[..., :3] * np.clip(dark, 0, 1)[..., None])
+    return shaded
+
+
+def _reduced(rgba: UInt8[np.ndarray, "h w 4"]) -> UInt8[np.ndarray, "h w 4"]:
+    """Every pixel the mean of the finer ones in it."""
+    height, width, _ = rgba.shape
+    blocks = rgba.reshape(height // _FINE, _FINE, width // _FINE, _FINE, 4).astype(np.float64)
+    opacity = blocks[..., 3:]
+    total = np.maximum(opacity.sum(axis=(1, 3)), 1e-9)
+    colour = (blocks[..., :3] * opacity).sum(axis=(1, 3)) / total
+    return np.rint(np.concatenate([colour, opacity.mean(axis=(1, 3))], axis=-1)).astype(np.uint8)
+
+
+def write_portrait(flower: Flower, path: str | os.PathLike[str]) -> None:
+    """Write a picture of a flower as PNG, whole or not at all.
+
+    Args:
+        flower: What is drawn.
+        path: The file, `.png`; an existing one is replaced.
+
+    Raises:
+        FlowerError: The flower would not fit into memory.
+        OSError: The file cannot be written.
+    """
+    content = png(portrait(flower_sheets(flower)))
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(content)

@@ -1,0 +1,87 @@
+"""A similarity between two frames."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from petalfit.surfaces.surface import Scalar
+
+Numbers: TypeAlias = Array | np.ndarray
+
+
+class Pose(eqx.Module):
+    """Maps the model's frame to the target's: x_target = scale · R x_model + t.
+
+    Arrays may have leading axes, for a batch of poses.
+
+    Attributes:
+        rotation: R_target_model, shape (..., 3, 3).
+        translation: t, shape (..., 3), in the target's unit.
+        scale: Positive, shape (...).
+    """
+
+    rotation: Float[Numbers, "*batch 3 3"]
+    translation: Float[Numbers, "*batch 3"]
+    scale: float | Float[Numbers, "*batch"]
+
+    @classmethod
+    def identity(cls) -> Pose:
+        """The pose of a target that is in the model's frame."""
+        return cls(np.eye(3), np.zeros(3), 1.0)
+
+    @classmethod
+    def at(cls, x: Scalar, y: Scalar, z: Scalar) -> Pose:
+        """A bare translation to a place given by scalars."""
+        place = jnp.stack([jnp.asarray(part, float) for part in (x, y, z)])
+        return cls(np.eye(3), place, 1.0)
+
+    def __call__(self, points: Float[Numbers, "*batch 3"]) -> Float[Array, "*batch 3"]:
+        """Points of the model's frame, in the target's; for a pose without leading axes."""
+        turned = jnp.asarray(points) @ jnp.asarray(self.rotation).T
+        return jnp.asarray(self.scale * turned + self.translation)
+
+    def __matmul__(self, inner: Pose) -> Pose:
+        """First the inner pose, then this one; neither has leading axes."""
+        return Pose(
+            jnp.asarray(self.rotation) @ inner.rotation,
+            self(inner.translation),
+            jnp.asarray(self.scale * inner.scale),
+        )
+
+    def matrix(self) -> Float[np.ndarray, "4 4"]:
+        """The homogeneous matrix of a pose without leading axes."""
+        matrix = np.eye(4)
+        matrix[:3, :3] = float(self.scale) * np.asarray(self.rotation)
+        matrix[:3, 3] = self.translation
+        return matrix
+
+
+def about_x(angle: Scalar) -> Float[Array, "3 3"]:
+    """The rotation about x, from y towards z; `angle` in rad, a scalar."""
+    cosine, sine, one = jnp.cos(angle), jnp.sin(angle), jnp.ones(())
+    zero = jnp.zeros(())
+    return jnp.stack(
+        [
+            jnp.stack([one, zero, zero]),
+            jnp.stack([zero, cosine, -sine]),
+            jnp.stack([zero, sine, cosine]),
+        ]
+    )
+
+
+def about_y(angle: Scalar) -> Float[Array, "3 3"]:
+    """The rotation about y, from z towards x; `angle` in rad, a scalar."""
+    cosine, sine, one = jnp.cos(angle), jnp.sin(angle), jnp.ones(())
+    zero = jnp.zeros(())
+    return jnp.stack(
+        [
+            jnp.stack([cosine, zero, sine]),
+            jnp.stack([zero, one, zero]),
+            jnp.stack([-sine, zero, cosine]),
+        ]
+    )
