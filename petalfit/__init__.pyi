@@ -21,6 +21,7 @@ from .components import parameter as parameter
 from .components import parameters as parameters
 from .export import export_flower as export_flower
 from .fitting import Agreement as Agreement
+from .fitting import ColourFit as ColourFit
 from .fitting import FitError as FitError
 from .fitting import FitResult as FitResult
 from .fitting import Profile as Profile
@@ -45,6 +46,7 @@ from .observations import Camera as Camera
 from .observations import PointCloud as PointCloud
 from .observations import Silhouette as Silhouette
 from .observations import TargetError as TargetError
+from .observations import Texture as Texture
 from .observations import read_cameras as read_cameras
 from .observations import read_transforms as read_transforms
 from .surfaces import AbstractDeformedSurface as AbstractDeformedSurface

@@ -12,20 +12,6 @@ from jaxtyping import Array, ArrayLike, Float, Real
 from petalfit.surfaces import Scalar, parameter
 
 
-class AbstractPattern(eqx.Module):
-    """An intensity I(u, v) on the petal's domain, u ∈ [−½, ½] and v ∈ [0, 1]."""
-
-    @abc.abstractmethod
-    def intensity(self, u: Float[Array, "*shape"], v: Float[Array, "*shape"]) -> Array:
-        """The equation itself, for u and v of one shape."""
-
-    def __call__(self, u: Real[ArrayLike, "..."], v: Real[ArrayLike, "..."]) -> Float[Array, "..."]:
-        """Intensities, the broadcast shape of u and v; not clipped to [0, 1]."""
-        dtype = jnp.result_type(u, v, float)
-        u, v = jnp.broadcast_arrays(jnp.asarray(u, dtype), jnp.asarray(v, dtype))
-        return self.intensity(u, v)
-
-
 def _number(
     default: float,
     symbol: str,
@@ -39,12 +25,26 @@ def _number(
     )
 
 
-def _ground() -> Any:
-    return _number(0.0, "I_1", (-2.0, 3.0), (0.0, 0.6), "intensity of the ground")
+class AbstractPattern(eqx.Module):
+    """An intensity I₁ + I₂ s(u, v) on the petal's domain, u ∈ [−½, ½] and v ∈ [0, 1].
 
+    A subclass gives its figure s, and declares the figure's parameters.
+    """
 
-def _contrast() -> Any:
-    return _number(1.0, "I_2", (-4.0, 4.0), (0.2, 1.0), "how much the pattern adds")
+    i_1: Scalar = _number(0.0, "I_1", (-2.0, 3.0), (0.0, 0.6), "intensity of the ground")
+    i_2: Scalar = _number(1.0, "I_2", (-4.0, 4.0), (0.2, 1.0), "how much the pattern adds")
+
+    @abc.abstractmethod
+    def figure(
+        self, u: Float[Array, "*shape"], v: Float[Array, "*shape"]
+    ) -> Float[Array, "*shape"]:
+        """s(u, v), for u and v of one shape."""
+
+    def __call__(self, u: Real[ArrayLike, "..."], v: Real[ArrayLike, "..."]) -> Float[Array, "..."]:
+        """Intensities, the broadcast shape of u and v; not clipped to [0, 1]."""
+        dtype = jnp.result_type(u, v, float)
+        u, v = jnp.broadcast_arrays(jnp.asarray(u, dtype), jnp.asarray(v, dtype))
+        return jnp.asarray(self.i_1 + self.i_2 * self.figure(u, v))
 
 
 class RadialPattern(AbstractPattern):
@@ -55,16 +55,14 @@ class RadialPattern(AbstractPattern):
     every whole n, and continuous between them.
     """
 
-    i_1: Scalar = _ground()
-    i_2: Scalar = _contrast()
-    n: Scalar = _number(2.0, "n", (0.05, 60.0), (0.5, 6.0), "sharpness of the rings")
+    n: Scalar = _number(2.0, "n", (0.05, 40.0), (0.5, 6.0), "sharpness of the rings")
     f: Scalar = _number(1.0, "f", (0.02, 30.0), (0.3, 4.0), "rings, in half waves along the petal")
     phi: Scalar = _number(0.0, "φ", (-3.2, 3.2), (-1.6, 1.6), "phase at the base", "rad")
 
-    def intensity(self, u: Array, v: Array) -> Array:
+    def figure(self, u: Array, v: Array) -> Array:
         sine = jnp.sin(v * jnp.pi * self.f + self.phi)
         sign = jnp.where(sine < 0, jnp.cos(jnp.pi * self.n), 1.0)
-        return jnp.asarray(self.i_1 + self.i_2 * sign * power(jnp.abs(sine), self.n))
+        return sign * power(jnp.abs(sine), self.n)
 
 
 class RibPattern(AbstractPattern):
@@ -74,17 +72,15 @@ class RibPattern(AbstractPattern):
     to the sides.
     """
 
-    i_1: Scalar = _ground()
-    i_2: Scalar = _contrast()
     f: Scalar = _number(9.0, "f", (0.1, 120.0), (3.0, 40.0), "ribs, in half waves across")
     n_1: Scalar = _number(0.5, "n_1", (0.0, 30.0), (0.0, 3.0), "how fast ribs fade to the tip")
     n_2: Scalar = _number(0.5, "n_2", (0.0, 30.0), (0.0, 3.0), "how fast ribs fade to the base")
     k: Scalar = _number(0.5, "k", (0.0, 30.0), (0.0, 3.0), "how fast ribs fade to the sides")
 
-    def intensity(self, u: Array, v: Array) -> Array:
+    def figure(self, u: Array, v: Array) -> Array:
         wave = jnp.sin(self.f * (u + 0.5) * jnp.pi)
         fade = power(1 - v, self.n_1) * power(v, self.n_2) * power(1 - 2 * jnp.abs(u), self.k)
-        return jnp.asarray(self.i_1 + self.i_2 * wave * fade)
+        return wave * fade
 
 
 def power(base: Array, exponent: Scalar) -> Array:

@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from petalfit.components import parameters
-from petalfit.surfaces import AbstractSurface, Scalar
+from petalfit.surfaces import Scalar
 
-Model = TypeVar("Model", bound=AbstractSurface)
+Model = TypeVar("Model", bound=eqx.Module)
 # NumPy's outside of compiled programs: there jax would compile every little operation.
 Numbers: TypeAlias = Array | np.ndarray
 
@@ -63,7 +63,7 @@ class Coordinates(eqx.Module, Generic[Model]):
         """Names of the free parameters that are not held."""
         return tuple(name for name, active in zip(self.free, self.active, strict=True) if active)
 
-    def values(self, t: Float[Numbers, " p"]) -> Float[Numbers, " p"]:
+    def values(self, t: Float[Numbers, "*k p"]) -> Float[Numbers, "*k p"]:
         """Parameter values at the coordinates t."""
         s = self.scale * t
         return self.middle + self.half * s * (1 + s**2) ** -0.5
@@ -87,7 +87,18 @@ class Coordinates(eqx.Module, Generic[Model]):
         where = lambda model: [getattr(model, name) for name in self.free]  # noqa: E731
         return eqx.tree_at(where, self.template, [values[i] for i in range(len(self.free))])
 
-    def gather(self, tree: AbstractSurface) -> Array:
+    def spread(self, count: int) -> Float[np.ndarray, "m p"]:
+        """Places evenly spread over the typical ranges; what is held stays at the template's values."""
+        typical = np.array([parameters(self.template)[name].typical for name in self.free])
+        # Additive recurrence by powers of the root of x^(p + 1) = x + 1.
+        root = 2.0
+        for _ in range(64):
+            root = (1 + root) ** (1 / (len(self.free) + 1))
+        steps = np.outer(np.arange(count), root ** -np.arange(1.0, len(self.free) + 1))
+        values = typical[:, 0] + (typical[:, 1] - typical[:, 0]) * ((0.5 + steps) % 1.0)
+        return np.where(self.active > 0, self.place(values), self.inverse(self.template))
+
+    def gather(self, tree: eqx.Module) -> Array:
         """Leaves of the free parameters of a pytree like the model, stacked on the last axis."""
         return jnp.stack([getattr(tree, name) for name in self.free], axis=-1)
 

@@ -10,8 +10,8 @@ from jaxtyping import Bool, Float
 
 from petalfit.components import Parameter, parameters
 from petalfit.fitting.coordinates import Coordinates, with_values
+from petalfit.fitting.estimate import CLEAR_LEAD
 from petalfit.fitting.peony_start import RIBS
-from petalfit.fitting.result import CLEAR_LEAD
 from petalfit.fitting.rounds import Polished, Settled
 from petalfit.fitting.solve import Prior
 from petalfit.surfaces import AbstractSurface

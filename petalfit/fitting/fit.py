@@ -4,22 +4,37 @@ from __future__ import annotations
 
 import inspect
 import math
+import os
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple, TypeAlias, overload
 
 import jax
 import numpy as np
 
+from petalfit.colours import AbstractPattern, from_hex
 from petalfit.components import PeonyPetal, Posed, parameters
 from petalfit.fitting.cloud import fit_cloud
+from petalfit.fitting.colours import ColourFit, colours_on, fit_colours
+from petalfit.fitting.estimate import FitError
 from petalfit.fitting.joint import fit_joint
-from petalfit.fitting.result import FitError, FitResult
+from petalfit.fitting.result import FitResult
 from petalfit.fitting.rounds import Settled
 from petalfit.fitting.summary import summarise
 from petalfit.fitting.targets import as_targets
-from petalfit.observations import Camera, Contour, PointCloud, Silhouette, TargetError
+from petalfit.observations import (
+    IMAGE_SUFFIXES,
+    Camera,
+    Contour,
+    PointCloud,
+    Silhouette,
+    TargetError,
+    Texture,
+    as_point_cloud,
+)
 from petalfit.surfaces import AbstractSurface
 
+Fittable: TypeAlias = AbstractSurface | AbstractPattern
 # Of a petal, in the model's unit, for a mask without a camera.
 _TYPICAL_LENGTH = 40.0
 
@@ -34,27 +49,39 @@ def fit_petal(
     return fit(model, target, **options)  # pyright: ignore[reportArgumentType]
 
 
+@overload
 def fit(
-    model: type[AbstractSurface] | AbstractSurface,
+    model: type[AbstractSurface] | AbstractSurface, target: object, **options: Any
+) -> FitResult: ...
+@overload
+def fit(
+    model: type[AbstractPattern] | AbstractPattern, target: object, **options: Any
+) -> ColourFit: ...
+def fit(  # pyright: ignore[reportInconsistentOverload]
+    model: Fittable | type[Fittable],
     target: object,
     *,
     pose: str = "known",
     camera: Camera | None = None,
     free: Iterable[str] | None = None,
-    init: AbstractSurface | None = None,
+    init: Fittable | None = None,
     noise: float | None = None,
     loss: str = "linear",
     seed: int = 0,
     throw: bool = True,
     progress: Callable[[str], None] | None = None,
-) -> FitResult:
-    """Recover the parameters of a component from point clouds, silhouettes, or both.
+    surface: type[AbstractSurface] | AbstractSurface | FitResult = PeonyPetal,
+    palette: tuple[str, str] | None = None,
+) -> FitResult | ColourFit:
+    """Recover the parameters of a component from point clouds, silhouettes, or both; or of a pattern.
 
     Args:
-        model: A component; of an instance, parameters that are not free keep their values.
+        model: A component, or a pattern of colours; of an instance, parameters that are not free keep
+            their values.
         target: Of a cloud an (N, 3) array, a `PointCloud`, a trimesh mesh or cloud, or the path of a
             file; of a silhouette a `Silhouette`, an (H, W) mask, or the path of an image; or a list of
-            these, which are fitted jointly, each in units of its own noise.
+            these, which are fitted jointly, each in units of its own noise. Of a pattern a `Texture`, an
+            array or the path of an image that makes one, or a cloud with colours.
         pose: "known": clouds are in the model's frame and unit, and cameras stand in it.
         camera: What took the masks that are no `Silhouette` with a camera of their own. A single mask
             may have none: it is then an orthographic front view of unknown scale and position, the
@@ -67,6 +94,11 @@ def fit(
         seed: Of random choices; the result hardly depends on it.
         throw: Raise `FitError` if the solver fails; else return a result with `converged` False.
         progress: Called with a line of text whenever a stage of the fit begins.
+        surface: For a pattern and a cloud, what the cloud is of: a class, which is fitted first, an
+            instance in the cloud's frame, or the result of a fit to the cloud.
+        palette: For a pattern and colours, the two colours that it mixes, as CSS writes them, the ground
+            first. Without it they are the ends of the colours themselves, the ground the lighter one,
+            and intensities count between those.
 
     Returns:
         The result. Read its `warnings`.
@@ -75,9 +107,23 @@ def fit(
         TargetError: The target cannot be used, or the options do not fit the model.
         FitError: The solver failed, and `throw` is True.
     """
-    targets = as_targets(target, camera)
     template, names = _configuration(model, free, init)
     _check_options(pose, loss, noise)
+    if isinstance(template, AbstractPattern):
+        result = fit_colours(
+            template,
+            names,
+            _as_texture(target, surface, seed, progress),
+            palette=None if palette is None else np.stack([from_hex(c) for c in palette]),
+            noise=noise,
+            from_template=init is not None,
+            seed=seed,
+            progress=progress or (lambda text: None),
+        )
+        if throw and not result.converged:
+            raise FitError(result.message, result)
+        return result
+    targets = as_targets(target, camera)
     fitted = run(
         template,
         names,
@@ -91,6 +137,25 @@ def fit(
     if throw and not result.converged:
         raise FitError(result.message, result)
     return result
+
+
+def _as_texture(
+    target: object,
+    surface: type[AbstractSurface] | AbstractSurface | FitResult,
+    seed: int,
+    progress: Callable[[str], None] | None,
+) -> Texture:
+    """What a pattern is fitted to."""
+    if isinstance(target, Texture):
+        return target
+    if isinstance(target, str | os.PathLike) and Path(target).suffix.lower() in IMAGE_SUFFIXES:
+        return Texture.load(target)
+    if isinstance(target, np.ndarray) and not (target.ndim == 2 and target.shape[1] == 3):
+        return Texture(target)
+    cloud = as_point_cloud(target)
+    if inspect.isclass(surface):
+        surface = fit(surface, cloud, seed=seed, progress=progress)
+    return colours_on(surface, cloud)
 
 
 class Fitted(NamedTuple):
@@ -189,16 +254,17 @@ def _without_camera(
 
 
 def _configuration(
-    model: type[AbstractSurface] | AbstractSurface,
+    model: Fittable | type[Fittable],
     free: Iterable[str] | None,
-    init: AbstractSurface | None,
-) -> tuple[AbstractSurface, tuple[str, ...]]:
+    init: Fittable | None,
+) -> tuple[Fittable, tuple[str, ...]]:
     """The template and the names of its free parameters, checked."""
     kind = model if inspect.isclass(model) else type(model)
-    if not (inspect.isclass(kind) and issubclass(kind, AbstractSurface) and parameters(kind)):
+    fittable = inspect.isclass(kind) and issubclass(kind, AbstractSurface | AbstractPattern)
+    if not (fittable and parameters(kind)):
         raise TypeError(
-            f"model must be a component with declared parameters, a class or an instance; received "
-            f"{model!r}"
+            f"model must be a component or a pattern with declared parameters, a class or an "
+            f"instance; received {model!r}"
         )
     declared = parameters(kind)
     if init is not None and type(init) is not kind:

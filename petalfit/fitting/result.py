@@ -5,8 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-from collections.abc import Callable, Mapping
-from statistics import NormalDist
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from jaxtyping import Float64
 
 from petalfit import components
 from petalfit.components import Parameter, Posed, parameters
+from petalfit.fitting.estimate import Estimate, Start, quantile
 from petalfit.fitting.targets import target_from_json, target_to_json
 from petalfit.observations import PointCloud, Silhouette, TargetError
 from petalfit.observations.atomic import atomic_path
@@ -24,57 +24,6 @@ if TYPE_CHECKING:
 
 FORMAT = "petalfit.FitResult"
 VERSION = 2
-# A rival whose χ² is worse by less than this is one. By chance alone, the best of the some 200
-# frequencies that ribs could have leads by 2 log 200.
-CLEAR_LEAD = 20.0
-# Standard errors between two ends from which they are different.
-_APART = 3.0
-
-
-class FitError(RuntimeError):
-    """A fit of usable data that failed numerically; `result` is what it ended with."""
-
-    def __init__(self, message: str, result: FitResult) -> None:
-        super().__init__(message)
-        self.result = result
-
-
-@dataclasses.dataclass(frozen=True)
-class Start:
-    """A start that was tried: what it was, what it reached, and how far it is from the best.
-
-    Attributes:
-        label: What distinguishes it, "rib_frequency 19.8" for instance.
-        values: The free parameters that it reached.
-        rms: Root mean square distance that it reached, in the target's unit.
-        delta_chi2: How much worse its χ² is than the best one's; 0 for the best.
-    """
-
-    label: str
-    values: dict[str, float]
-    rms: float
-    delta_chi2: float
-
-
-def rivals(
-    starts: tuple[Start, ...], stderr: Mapping[str, float], declared: Mapping[str, Parameter]
-) -> tuple[Start, ...]:
-    """Starts almost as good as the first that differ from it.
-
-    By some standard errors of what is determined, or by a part of the typical range of what is not.
-    """
-
-    def apart(start: Start, name: str) -> float:
-        error = stderr[name]
-        if not np.isfinite(error):
-            error = float(np.ptp(declared[name].typical)) / 12**0.5 / 10
-        return abs(start.values[name] - starts[0].values[name]) / max(error, 1e-300)
-
-    return tuple(
-        start
-        for start in starts[1:]
-        if start.delta_chi2 < CLEAR_LEAD and max(apart(start, name) for name in stderr) > _APART
-    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -95,7 +44,7 @@ class Profile:
         Args:
             level: Probability that the interval covers the truth, in (0, 1).
         """
-        limit = _quantile(level) ** 2
+        limit = quantile(level) ** 2
         cost, best = np.array(self.delta_chi2), int(np.argmin(self.delta_chi2))
         ends = []
         for side, never in ((slice(best, None, -1), -np.inf), (slice(best, None), np.inf)):
@@ -143,44 +92,20 @@ class Agreement:
         return "px" if isinstance(self.target, Silhouette) else "length"
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class FitResult:
-    """The outcome of a fit.
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class FitResult(Estimate):
+    """The outcome of a fit of a component to clouds and silhouettes.
 
     Attributes:
         model: The fitted component, in its own frame.
         pose: From the model's frame to the target's.
-        values: Every parameter of the model by name, fixed ones included.
-        stderr: Standard errors of the free parameters; `inf` where the data cannot tell.
-        identifiable: Whether the data determine a free parameter: its standard error is below 0.3
-            standard deviations of its typical range.
-        names: The free parameters, in the order of `covariance`.
-        covariance: Shape (p, p); rows and columns of what is not identifiable are `inf`.
         agreements: Every target beside the fitted surface, in the order in which they were given.
-        converged: Whether the solver settled, on a surface that follows the target.
-        status: "converged"; "round_limit": it did not settle; "misfit": distances are far larger than
-            any noise; "not_finite".
-        message: What a reader should know, in words; the warnings among them.
-        warnings: Reasons not to trust the result blindly; empty if there are none.
-        steps: Rounds of the final solve.
-        starts: What each start reached, best first.
         profiles: Profile likelihoods by parameter, as far as they were asked for (`with_profile`).
     """
 
     model: AbstractSurface
     pose: Pose
-    values: dict[str, float]
-    stderr: dict[str, float]
-    identifiable: dict[str, bool]
-    names: tuple[str, ...]
-    covariance: Float64[np.ndarray, "p p"]
     agreements: tuple[Agreement, ...]
-    converged: bool
-    status: str
-    message: str
-    warnings: tuple[str, ...]
-    steps: int
-    starts: tuple[Start, ...]
     profiles: dict[str, Profile] = dataclasses.field(default_factory=dict)
 
     @property
@@ -204,14 +129,9 @@ class FitResult:
         return np.concatenate([part.weights for part in self.agreements])
 
     @property
-    def rivals(self) -> tuple[Start, ...]:
-        """Other starts that ended elsewhere, almost as well: the data hardly tell them from the best."""
-        return rivals(self.starts, self.stderr, self.declared)
-
-    @property
     def declared(self) -> dict[str, Parameter]:
         """Of all that has a value: the model's parameters, and a fitted place in an image."""
-        found = dict(parameters(self.model))
+        found = super().declared
         if "scale" in self.values:
             rows, columns = self.agreements[0].target.mask.shape  # pyright: ignore[reportAttributeAccessIssue]
             scale = self.values["scale"]
@@ -223,21 +143,6 @@ class FitResult:
             for name, parameter in parameters(Posed).items():
                 found[name] = dataclasses.replace(parameter, unit="px", typical=typical[name])
         return found
-
-    def interval(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
-        """Symmetric confidence intervals of the free parameters.
-
-        Args:
-            level: Probability that the interval covers the truth, in (0, 1).
-
-        Returns:
-            (low, high) by name; (−inf, inf) where the data cannot tell.
-        """
-        reach = _quantile(level)
-        return {
-            name: (self.values[name] - reach * error, self.values[name] + reach * error)
-            for name, error in self.stderr.items()
-        }
 
     def with_profile(
         self, name: str, points: int = 11, progress: Callable[[str], None] | None = None
@@ -367,13 +272,6 @@ class FitResult:
                 ),
             }
         )
-
-
-def _quantile(level: float) -> float:
-    """Standard deviations to either side that a Gaussian stays within with this probability."""
-    if not 0 < level < 1:
-        raise ValueError(f"level must lie between 0 and 1; received {level}")
-    return float(NormalDist().inv_cdf(0.5 + 0.5 * level))
 
 
 _NOT_FINITE = {"inf": np.inf, "-inf": -np.inf, "nan": np.nan}

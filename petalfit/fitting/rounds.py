@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 import dataclasses
 from collections.abc import Sequence
-from typing import Generic, NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -16,6 +16,7 @@ from petalfit.fitting.solve import Prior
 from petalfit.residuals import AbstractTerm
 from petalfit.surfaces import AbstractSurface
 
+Surface = TypeVar("Surface", bound=AbstractSurface)
 # In the first rounds foot points look around after every second one. Later they do not: a foot point
 # that jumps to and fro must not keep the rest moving.
 _LOOKING_ROUNDS = 16
@@ -97,7 +98,7 @@ class AbstractObserved(abc.ABC):
 
 
 @dataclasses.dataclass(frozen=True)
-class Polished(Generic[Model]):
+class Polished(Generic[Surface]):
     """Where the solver stopped.
 
     Attributes:
@@ -107,7 +108,7 @@ class Polished(Generic[Model]):
         moved: By how much the last ones moved, in standard errors, the largest over the directions.
     """
 
-    model: Model
+    model: Surface
     terms: tuple[AbstractTerm, ...]
     rounds: int
     moved: float
@@ -139,15 +140,15 @@ class Settled(Generic[Model]):
 
 
 def minimise(
-    coordinates: Coordinates[Model],
+    coordinates: Coordinates[Surface],
     observed: Sequence[AbstractObserved],
-    model: Model,
+    model: Surface,
     terms: Sequence[AbstractTerm | None],
     max_rounds: int,
     tolerance: float,
     prior: Prior | None = None,
     every: int | None = None,
-) -> Polished[Model]:
+) -> Polished[Surface]:
     """From a start to the minimum of the cost.
 
     Args:
@@ -193,11 +194,11 @@ def whiten(information: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p"]:
 
 
 def glance(
-    coordinates: Coordinates[Model],
+    coordinates: Coordinates[Surface],
     label: str,
     observed: Sequence[AbstractObserved],
-    polished: Polished[Model],
-) -> Settled[Model]:
+    polished: Polished[Surface],
+) -> Settled[Surface]:
     """An end as the solver left it, to be compared with others: its information is not computed."""
     t = coordinates.inverse(polished.model)
     unknown = np.full((len(t), len(t)), np.nan)
@@ -220,12 +221,12 @@ def glance(
 
 
 def finish(
-    coordinates: Coordinates[Model],
+    coordinates: Coordinates[Surface],
     label: str,
     observed: Sequence[AbstractObserved],
-    polished: Polished[Model],
+    polished: Polished[Surface],
     prior: Prior | None = None,
-) -> Settled[Model]:
+) -> Settled[Surface]:
     """Remove the bias, and look at the result with converged foot points."""
     t = coordinates.inverse(polished.model)
     accounts = [

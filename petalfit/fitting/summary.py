@@ -10,7 +10,8 @@ import numpy as np
 
 from petalfit.components import Parameter, Posed, bare, parameters
 from petalfit.fitting.determined import combinations, covariance
-from petalfit.fitting.result import Agreement, FitResult, Start, rivals
+from petalfit.fitting.estimate import Start, rivals
+from petalfit.fitting.result import Agreement, FitResult
 from petalfit.fitting.rounds import Settled
 from petalfit.observations import PointCloud, Silhouette
 from petalfit.surfaces import AbstractSurface, Pose
@@ -60,7 +61,7 @@ def summarise(
     else:
         matrix, found = np.full((len(names), len(names)), np.inf), np.zeros(len(names), bool)
     identifiable = dict(zip(names, map(bool, found), strict=True))
-    bounds = _at_bounds(values, names, declared)
+    bounds = at_bounds(values, names, declared)
     strained = any(identifiable[name] for name in bounds)
     misfits = [_misfit(part, strained, noise) for part in agreements]
     settled = finite and bool(best.moved <= _SETTLED)
@@ -177,7 +178,7 @@ def _misfit(part: Agreement, strained: bool, noise: float | None) -> str:
     )
 
 
-def _at_bounds(
+def at_bounds(
     values: dict[str, float], names: tuple[str, ...], declared: dict[str, Parameter]
 ) -> dict[str, str]:
     """Parameters at a bound, each with its warning."""

@@ -66,7 +66,7 @@ def _looks_like_a_mask(array: np.ndarray, camera: Camera | None) -> bool:
 def target_to_json(target: PointCloud | Silhouette) -> dict[str, Any]:
     """A target as JSON holds it, lossless."""
     if isinstance(target, PointCloud):
-        parts = ("points", "normals", "weights")
+        parts = ("points", "normals", "weights", "colours")
         return {"kind": "cloud"} | {name: getattr(target, name) for name in parts}
     camera = target.camera
     return {
@@ -81,7 +81,8 @@ def target_to_json(target: PointCloud | Silhouette) -> dict[str, Any]:
 def target_from_json(content: dict[str, Any]) -> PointCloud | Silhouette:
     """What `target_to_json` made."""
     if content["kind"] == "cloud":
-        return PointCloud(content["points"], content["normals"], content["weights"])
+        points, normals, weights = (content[part] for part in ("points", "normals", "weights"))
+        return PointCloud(points, normals, weights, content.get("colours"))
     shape = tuple(content["shape"])
     weights, camera = content["weights"], content["camera"]
     return Silhouette(

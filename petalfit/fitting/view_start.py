@@ -16,7 +16,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from petalfit.compilation import Program
-from petalfit.components import parameters
 from petalfit.fitting.coordinates import Coordinates
 from petalfit.observations import Contour
 from petalfit.residuals import pull_back
@@ -74,7 +73,7 @@ def search(
         reach[k] = np.max(along, axis=0)
         # Where the contour is cut off, the petal reaches at least as far: more is no fault.
         known[k] = shadow.weight[np.argmax(along, axis=0)] > 0
-    candidates = _spread(coordinates)
+    candidates = coordinates.spread(_CANDIDATES)
     found = np.asarray(_supports(coordinates, candidates, matrices, directions))
     gap = np.where((known == 0) & (found > reach), 0.0, found - reach) / scale[:, None]
     score = np.mean(np.log1p((gap / 3) ** 2), axis=(1, 2))
@@ -89,20 +88,6 @@ def search(
         if len(chosen) == most:
             break
     return chosen
-
-
-def _spread(coordinates: Coordinates) -> Float[np.ndarray, "m p"]:
-    """Evenly spread over the typical ranges; held parameters at the template's values."""
-    template, free = coordinates.template, coordinates.free
-    typical = np.array([parameters(template)[name].typical for name in free])
-    # Additive recurrence by powers of the root of x^(p + 1) = x + 1.
-    root = 2.0
-    for _ in range(64):
-        root = (1 + root) ** (1 / (len(free) + 1))
-    steps = np.outer(np.arange(_CANDIDATES), root ** -np.arange(1.0, len(free) + 1))
-    values = typical[:, 0] + (typical[:, 1] - typical[:, 0]) * ((0.5 + steps) % 1.0)
-    given = coordinates.inverse(template)
-    return np.where(coordinates.active > 0, coordinates.place(values), given)
 
 
 _FRACTION = np.linspace(0.0, 1.0, _NODES)

@@ -19,6 +19,7 @@ class Columns(TypedDict):
     points: np.ndarray
     normals: np.ndarray | None
     weights: np.ndarray | None
+    colours: np.ndarray | None
 
 
 def unnamed_columns(table: Float64[np.ndarray, "n k"]) -> Columns:
@@ -37,7 +38,7 @@ def unnamed_columns(table: Float64[np.ndarray, "n k"]) -> Columns:
         length = np.linalg.norm(table[:, 3:], axis=1)
         if length.any() and (np.abs(length[length != 0.0] - 1.0) < UNIT_TOLERANCE).all():
             normals = table[:, 3:]
-    return {"points": table[:, :3], "normals": normals, "weights": None}
+    return {"points": table[:, :3], "normals": normals, "weights": None, "colours": None}
 
 
 def named_columns(table: Float64[np.ndarray, "n k"], names: list[str]) -> Columns:
@@ -45,11 +46,11 @@ def named_columns(table: Float64[np.ndarray, "n k"], names: list[str]) -> Column
 
     Args:
         table: (N, k).
-        names: k names in lower case: x, y, z; optionally nx, ny, nz and weight (or weights).
-            Other columns are ignored.
+        names: k names in lower case: x, y, z; optionally nx, ny, nz, weight (or weights), and red,
+            green, blue (or r, g, b), from 0 to 1 or from 0 to 255. Other columns are ignored.
 
     Returns:
-        points (N, 3), normals (N, 3) or None and weights (N,) or None.
+        points (N, 3), normals (N, 3) or None, weights (N,) or None and colours (N, 3) or None.
     """
     column = dict(zip(names, table.T, strict=True))
     has_normals = {"nx", "ny", "nz"} <= column.keys()
@@ -57,7 +58,17 @@ def named_columns(table: Float64[np.ndarray, "n k"], names: list[str]) -> Column
         "points": np.column_stack([column[name] for name in ("x", "y", "z")]),
         "normals": np.column_stack([column[f"n{axis}"] for axis in "xyz"]) if has_normals else None,
         "weights": column.get("weight", column.get("weights")),
+        "colours": _colours(column),
     }
+
+
+def _colours(column: dict[str, Float64[np.ndarray, " n"]]) -> Float64[np.ndarray, "n 3"] | None:
+    """From 0 to 1, whatever the table counts to."""
+    for names in ("red", "green", "blue"), ("r", "g", "b"):
+        if set(names) <= column.keys():
+            colours = np.column_stack([column[name] for name in names])
+            return colours / 255 if (colours > 1).any() else colours
+    return None
 
 
 def read_text(path: Path) -> Columns:

@@ -15,6 +15,7 @@ from petalfit.observations.triangles import mesh_triangles, sample_triangles
 from petalfit.observations.validation import (
     ArrayLike,
     check_spread,
+    valid_colours,
     valid_normals,
     valid_points,
     valid_weights,
@@ -31,7 +32,7 @@ DEFAULT_SAMPLES = 4096
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
 class PointCloud:
-    """Points, perhaps with normals and weights.
+    """Points, perhaps with normals, weights and colours.
 
     The arrays are checked, copied to float64 and made read-only. Two clouds are equal only if
     they are the same object.
@@ -40,6 +41,7 @@ class PointCloud:
         points: (N, 3), in any unit of length. They must not all lie on one line.
         normals: (N, 3), of any length but zero; they are brought to unit length.
         weights: (N,), how many observations each point counts for; 0 ignores a point.
+        colours: (N, 3), sRGB from 0 to 1, or bytes. They say nothing of the shape.
 
     Raises:
         TargetError: the arrays cannot be used; the message says why and what to do.
@@ -48,18 +50,22 @@ class PointCloud:
     points: Float64[np.ndarray, "n 3"]
     normals: Float64[np.ndarray, "n 3"] | None
     weights: Float64[np.ndarray, " n"] | None
+    colours: Float64[np.ndarray, "n 3"] | None
 
     def __init__(
         self,
         points: ArrayLike,
         normals: ArrayLike | None = None,
         weights: ArrayLike | None = None,
+        colours: ArrayLike | None = None,
     ) -> None:
         points = valid_points(points)
         normals = None if normals is None else valid_normals(normals, len(points))
         weights = None if weights is None else valid_weights(weights, len(points))
+        colours = None if colours is None else valid_colours(colours, len(points))
         check_spread(points if weights is None else points[weights > 0.0])
-        for name, array in ("points", points), ("normals", normals), ("weights", weights):
+        given = {"points": points, "normals": normals, "weights": weights, "colours": colours}
+        for name, array in given.items():
             if array is not None:
                 array.setflags(write=False)
             object.__setattr__(self, name, array)
@@ -69,7 +75,9 @@ class PointCloud:
 
     def __repr__(self) -> str:
         extent = " × ".join(f"{side:.4g}" for side in self.extent)
-        extras = [name for name in ("normals", "weights") if getattr(self, name) is not None]
+        extras = [
+            name for name in ("normals", "weights", "colours") if getattr(self, name) is not None
+        ]
         return f"PointCloud({', '.join([f'{len(self)} points', f'extent {extent}', *extras])})"
 
     @property

@@ -34,11 +34,11 @@ def read_point_cloud(
 
     - `.ply .obj .stl .glb .gltf`: if there are faces they are sampled, uniformly by area, and the
       normals of the faces become the points' own; otherwise the vertices are the cloud, with the
-      normals (nx, ny, nz) and weights (weight) of a PLY that has them.
+      normals (nx, ny, nz), weights (weight) and colours (red, green, blue) of a PLY that has them.
     - `.xyz .txt .csv`: a point a line, see `petalfit.observations.columns.read_text`.
     - `.npy`: an array (N, 3), or (N, 6) with normals as in text without a header.
-    - `.npz`: arrays `points`, `normals`, `weights`, of which only the first must be there; or a
-      single array of any name, as in `.npy`.
+    - `.npz`: arrays `points`, `normals`, `weights`, `colours`, of which only the first must be there;
+      or a single array of any name, as in `.npy`.
 
     Args:
         path: the file, at most 2 GB (in `.npz`, uncompressed). Its suffix, in either case, says
@@ -199,10 +199,10 @@ def _read_npz(path: Path) -> Columns:
         if "points" not in members and len(members) != 1:
             raise TargetError(
                 f"holds the arrays {', '.join(members) or '(none)'}; expected points and, "
-                "optionally, normals and weights, or a single array."
+                "optionally, normals, weights and colours, or a single array."
             )
         arrays: dict[str, np.ndarray] = {}
-        for name in members.keys() & {"points", "normals", "weights"} or members:
+        for name in members.keys() & Columns.__annotations__.keys() or members:
             with archive.open(members[name]) as file:
                 arrays[name] = np.lib.format.read_array(file, allow_pickle=False)
     if "points" not in arrays:
@@ -211,6 +211,7 @@ def _read_npz(path: Path) -> Columns:
         "points": arrays["points"],
         "normals": arrays.get("normals"),
         "weights": arrays.get("weights"),
+        "colours": arrays.get("colours"),
     }
 
 
@@ -218,7 +219,7 @@ def _array_columns(array: np.ndarray) -> Columns:
     """(N, 6) numbers by position; anything else is left to PointCloud to accept or refuse."""
     if array.ndim == 2 and array.shape[1] == 6 and array.dtype.kind in "fiu":
         return unnamed_columns(array.astype(np.float64))
-    return {"points": array, "normals": None, "weights": None}
+    return {"points": array, "normals": None, "weights": None, "colours": None}
 
 
 _READERS: dict[str, Callable[[Path], "Columns | list[trimesh.parent.Geometry]"]] = {

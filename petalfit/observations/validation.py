@@ -117,6 +117,34 @@ def valid_weights(weights: ArrayLike, n: int) -> Float64[np.ndarray, " n"]:
     return array
 
 
+def valid_colours(colours: ArrayLike, n: int) -> Float64[np.ndarray, "n 3"]:
+    """Checks colours.
+
+    Args:
+        colours: array-like (N, 3), sRGB: numbers from 0 to 1, or bytes from 0 to 255.
+        n: the number of points.
+
+    Returns:
+        A copy in float64, from 0 to 1.
+
+    Raises:
+        TargetError: they are not numbers, not one a point, not finite or out of range.
+    """
+    is_bytes = np.asarray(colours).dtype == np.uint8
+    array = _real_array(colours, "colours")
+    if array.shape != (n, 3):
+        raise TargetError(
+            f"colours have shape {array.shape}, expected {(n, 3)}: red, green, blue of each point."
+        )
+    array = array / 255 if is_bytes else array
+    _refuse_rows(
+        ~((array >= 0.0) & (array <= 1.0)).all(axis=1),
+        "colours lie outside 0 to 1",
+        "divide numbers from 0 to 255 by 255, or give them as uint8",
+    )
+    return array
+
+
 def check_spread(points: Float64[np.ndarray, "n 3"]) -> None:
     """Checks that points span more than a line, as far as float64 resolves them.
 

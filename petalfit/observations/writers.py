@@ -8,31 +8,36 @@ import numpy as np
 from jaxtyping import Float64
 
 from petalfit.observations.atomic import atomic_path
+from petalfit.observations.columns import Columns
 from petalfit.observations.point_cloud import PointCloud
+
+_COLOURS = ["red", "green", "blue"]
 
 
 def write_point_cloud(cloud: PointCloud, path: str | os.PathLike[str]) -> None:
     """Writes a cloud whole or not at all; reading it again gives the same numbers to the last bit.
 
-    - `.ply`: binary, in double precision, with nx, ny, nz and weight if there are any.
+    - `.ply`: binary, in double precision, with nx, ny, nz, weight and red, green, blue if there are any;
+      colours as bytes where those say the same, as doubles from 0 to 1 otherwise.
     - `.csv`: commas and a header.
-    - `.xyz`: blanks; a header, as a comment, only where there are weights.
+    - `.xyz`: blanks; a header, as a comment, only where there are weights or colours.
     - `.npy`: (N, 3), or (N, 6) with normals.
-    - `.npz`: `points`, `normals`, `weights`.
+    - `.npz`: `points`, `normals`, `weights`, `colours`.
 
     Args:
         cloud: the cloud.
         path: the file, whose suffix says what to write. An existing file is replaced.
 
     Raises:
-        ValueError: the suffix is none of these, or the format has no place for weights.
+        ValueError: the suffix is none of these, or the format has no place for weights or colours.
         OSError: the file cannot be written.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in _WRITERS:
         raise ValueError(f"{path} has the suffix {suffix!r}; clouds are saved as {_SUFFIXES}.")
-    if suffix == ".npy" and cloud.weights is not None:
-        raise ValueError(f"{path} would lose the weights; save the cloud as .npz instead.")
+    for what in ("weights", "colours"):
+        if suffix == ".npy" and getattr(cloud, what) is not None:
+            raise ValueError(f"{path} would lose the {what}; save the cloud as .npz instead.")
     with atomic_path(path) as temporary:
         _WRITERS[suffix](cloud, temporary)
 
@@ -46,19 +51,29 @@ def _table(cloud: PointCloud) -> tuple[list[str], Float64[np.ndarray, "n k"]]:
     if cloud.weights is not None:
         names.append("weight")
         columns.append(cloud.weights[:, None])
+    if cloud.colours is not None:
+        names += _COLOURS
+        columns.append(cloud.colours)
     return names, np.hstack(columns)
 
 
 def _write_ply(cloud: PointCloud, path: Path) -> None:
     names, table = _table(cloud)
+    kinds = dict.fromkeys(names, ("double", "<f8"))
+    if cloud.colours is not None and (np.rint(255 * cloud.colours) / 255 == cloud.colours).all():
+        table[:, -3:] = np.rint(255 * table[:, -3:])
+        kinds |= dict.fromkeys(_COLOURS, ("uchar", "u1"))
+    rows = np.empty(len(cloud), [(name, kind) for name, (_, kind) in kinds.items()])
+    for name, column in zip(names, table.T, strict=True):
+        rows[name] = column
     header = [
         "ply",
         "format binary_little_endian 1.0",
         f"element vertex {len(cloud)}",
-        *(f"property double {name}" for name in names),
+        *(f"property {kind} {name}" for name, (kind, _) in kinds.items()),
         "end_header\n",
     ]
-    path.write_bytes("\n".join(header).encode() + table.astype("<f8").tobytes())
+    path.write_bytes("\n".join(header).encode() + rows.tobytes())
 
 
 def _write_csv(cloud: PointCloud, path: Path) -> None:
@@ -69,7 +84,8 @@ def _write_csv(cloud: PointCloud, path: Path) -> None:
 def _write_xyz(cloud: PointCloud, path: Path) -> None:
     names, table = _table(cloud)
     # Other programs read three or six bare columns; four or seven mean something only by name.
-    header = [] if cloud.weights is None else ["# " + " ".join(names)]
+    bare = cloud.weights is None and cloud.colours is None
+    header = [] if bare else ["# " + " ".join(names)]
     _write_lines(path, header, " ", table)
 
 
@@ -88,7 +104,7 @@ def _write_npy(cloud: PointCloud, path: Path) -> None:
 
 
 def _write_npz(cloud: PointCloud, path: Path) -> None:
-    arrays = {"points": cloud.points, "normals": cloud.normals, "weights": cloud.weights}
+    arrays = {name: getattr(cloud, name) for name in Columns.__annotations__}
     present = {name: array for name, array in arrays.items() if array is not None}
     with path.open("wb") as file:
         np.savez_compressed(file, **present)

@@ -1,0 +1,132 @@
+"""What every fit returns: values, how sure they are, and what the data cannot tell."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from statistics import NormalDist
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float64
+
+from petalfit.components import Parameter, parameters
+
+# A rival whose χ² is worse by less than this is one. By chance alone, the best of the some 200
+# frequencies that ribs could have leads by 2 log 200.
+CLEAR_LEAD = 20.0
+# Standard errors between two ends from which they are different.
+_APART = 3.0
+
+
+class FitError(RuntimeError):
+    """A fit of usable data that failed numerically; `result` is what it ended with."""
+
+    def __init__(self, message: str, result: Estimate) -> None:
+        super().__init__(message)
+        self.result = result
+
+
+@dataclasses.dataclass(frozen=True)
+class Start:
+    """A start that was tried: what it was, what it reached, and how far it is from the best.
+
+    Attributes:
+        label: What distinguishes it, "rib_frequency 19.8" for instance.
+        values: The free parameters that it reached.
+        rms: Root mean square distance that it reached, in the target's unit.
+        delta_chi2: How much worse its χ² is than the best one's; 0 for the best.
+    """
+
+    label: str
+    values: dict[str, float]
+    rms: float
+    delta_chi2: float
+
+
+def rivals(
+    starts: tuple[Start, ...], stderr: Mapping[str, float], declared: Mapping[str, Parameter]
+) -> tuple[Start, ...]:
+    """Starts almost as good as the first that differ from it.
+
+    By some standard errors of what is determined, or by a part of the typical range of what is not.
+    """
+
+    def apart(start: Start, name: str) -> float:
+        error = stderr[name]
+        if not np.isfinite(error):
+            error = float(np.ptp(declared[name].typical)) / 12**0.5 / 10
+        return abs(start.values[name] - starts[0].values[name]) / max(error, 1e-300)
+
+    return tuple(
+        start
+        for start in starts[1:]
+        if start.delta_chi2 < CLEAR_LEAD and max(apart(start, name) for name in stderr) > _APART
+    )
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Estimate:
+    """The outcome of a fit.
+
+    Attributes:
+        model: What was fitted.
+        values: Every parameter of the model by name, fixed ones included.
+        stderr: Standard errors of the free parameters; `inf` where the data cannot tell.
+        identifiable: Whether the data determine a free parameter: its standard error is below 0.3
+            standard deviations of its typical range.
+        names: The free parameters, in the order of `covariance`.
+        covariance: Shape (p, p); rows and columns of what is not identifiable are `inf`.
+        converged: Whether the solver settled, on a model that follows the target.
+        status: "converged"; "round_limit": it did not settle; "misfit": the target is far from anything
+            that the model can be; "not_finite".
+        message: What a reader should know, in words; the warnings among them.
+        warnings: Reasons not to trust the result blindly; empty if there are none.
+        steps: Rounds of the final solve.
+        starts: What each start reached, best first.
+    """
+
+    model: eqx.Module
+    values: dict[str, float]
+    stderr: dict[str, float]
+    identifiable: dict[str, bool]
+    names: tuple[str, ...]
+    covariance: Float64[np.ndarray, "p p"]
+    converged: bool
+    status: str
+    message: str
+    warnings: tuple[str, ...]
+    steps: int
+    starts: tuple[Start, ...]
+
+    @property
+    def rivals(self) -> tuple[Start, ...]:
+        """Other starts that ended elsewhere, almost as well: the data hardly tell them from the best."""
+        return rivals(self.starts, self.stderr, self.declared)
+
+    @property
+    def declared(self) -> dict[str, Parameter]:
+        """Of all that has a value."""
+        return parameters(self.model)
+
+    def interval(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
+        """Symmetric confidence intervals of the free parameters.
+
+        Args:
+            level: Probability that the interval covers the truth, in (0, 1).
+
+        Returns:
+            (low, high) by name; (−inf, inf) where the data cannot tell.
+        """
+        reach = quantile(level)
+        return {
+            name: (self.values[name] - reach * error, self.values[name] + reach * error)
+            for name, error in self.stderr.items()
+        }
+
+
+def quantile(level: float) -> float:
+    """Standard deviations to either side that a Gaussian stays within with this probability."""
+    if not 0 < level < 1:
+        raise ValueError(f"level must lie between 0 and 1; received {level}")
+    return float(NormalDist().inv_cdf(0.5 + 0.5 * level))
