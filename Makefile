@@ -54,6 +54,10 @@ data: $(READY)  ## make the cases of data_synthetic again
 figures: $(READY)  ## make the pictures of docs/ again
 	$(BIN)/python docs/figures.py
 
+.PHONY: gallery
+gallery: $(READY)  ## make the pictures of docs/gallery.md again
+	$(BIN)/python docs/gallery.py
+
 .PHONY: constraints
 constraints: $(READY)  ## pin the newest versions that pyproject.toml allows
 	printf 'hatchling\nuv\n' | $(UV) pip compile --quiet --upgrade --universal --python-version 3.11 \

@@ -15,6 +15,7 @@ from petalfit.colours import Colour, to_linear
 from petalfit.components import AbstractAssembly, parameters
 from petalfit.export.mesh import SUFFIXES, obj_text
 from petalfit.flowers import Flower, Grown, grow
+from petalfit.flowers.flower import short
 from petalfit.observations.atomic import atomic_path
 from petalfit.surfaces import AbstractSurface, grid_faces, grid_uv
 
@@ -119,7 +120,7 @@ def _label(flower: Flower, grown: Grown) -> str:
     if part.series < 0:
         return part.label
     series = flower.series[part.series].name
-    return f"{series}/{part.name}" if part.name else series
+    return f"{series}/{short(part.name)}" if part.name else series
 
 
 def _extras(flower: Flower, grown: Grown, k: int) -> dict[str, Any]:
@@ -173,11 +174,12 @@ def _material(colour: Colour, name: str) -> PBRMaterial:
     from PIL import Image
     from trimesh.visual.material import PBRMaterial
 
+    # trimesh rounds factors to eight bits, which are too few for dark linear light: see `_glb`.
     options: dict[str, Any] = {"metallicFactor": 0.0, "roughnessFactor": _ROUGHNESS}
     options |= {"name": name, "doubleSided": True}
     if colour.is_plain:
-        linear = [float(part) for part in to_linear(colour.palette[0])]
-        return PBRMaterial(baseColorFactor=[*linear, 1.0], **options)
+        linear = np.rint(255 * np.asarray(to_linear(colour.palette[0]))).astype(int)
+        return PBRMaterial(baseColorFactor=[*linear.tolist(), 255], **options)
     picture = Image.fromarray(colour.texture(_TEXTURE))
     return PBRMaterial(baseColorTexture=picture, **options)
 
@@ -185,7 +187,29 @@ def _material(colour: Colour, name: str) -> PBRMaterial:
 def _glb(flower: Flower) -> bytes:
     from trimesh.exchange.gltf import export_glb
 
-    return export_glb(flower_scene(flower), include_normals=True)
+    factors = {}
+    for part, colour in _colours(flower):
+        if colour.is_plain:
+            linear = np.asarray(to_linear(np.asarray(colour.palette[0], np.float32)))
+            factors[part] = [*(round(float(x), 7) for x in linear), 1.0]
+
+    def exact(tree: dict[str, Any]) -> None:
+        for material in tree["materials"]:
+            if material["name"] in factors:
+                factor = factors[material["name"]]
+                material["pbrMetallicRoughness"]["baseColorFactor"] = factor
+
+    scene = flower_scene(flower)
+    return export_glb(scene, include_normals=True, tree_postprocessor=exact)
+
+
+def _colours(flower: Flower) -> list[tuple[str, Colour]]:
+    """By the names that materials have."""
+    return [*flower.colours.items()] + [
+        (f"{series.name}/{part}" if part else series.name, colour)
+        for series in flower.series
+        for part, colour in series.colours.items()
+    ]
 
 
 def _posed(flower: Flower) -> list[tuple[str, trimesh.Trimesh]]:

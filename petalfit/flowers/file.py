@@ -356,7 +356,7 @@ def flower_to_json(flower: Flower) -> dict[str, Any]:
                     for name in parameters(Attachment)
                     if name != "azimuth"
                 },
-                "colours": {part: _painted_json(c) for part, c in series.colours.items()},
+                "colours": {part: _painted_json(c) for part, c in sorted(series.colours.items())},
             }
             for series in flower.series
         ],

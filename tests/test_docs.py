@@ -1,0 +1,47 @@
+"""What the documentation shows works."""
+
+import json
+import re
+from pathlib import Path
+
+import jax
+import pytest
+
+from petalfit.flowers import flower_from_json
+
+DOCS = Path(__file__).parents[1] / "docs"
+
+
+def blocks(page: str, language: str) -> list[str]:
+    text = (DOCS / page).read_text(encoding="utf-8")
+    return re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
+
+
+def test_the_flower_of_the_page_grows(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names: dict = {}
+    flower, slope, _ = blocks("flowers.md", "python")
+    with jax.enable_x64(True):
+        exec(flower, names)
+        exec(slope, names)
+    assert (tmp_path / "windflower.glb").exists()
+    assert names["slope"].series[0].organ.dy.shape == (8,)
+
+
+def test_the_file_of_the_page_is_the_same_flower():
+    (text,) = blocks("flowers.md", "json")
+    flower = flower_from_json(json.loads(text))
+    assert [len(series) for series in flower.series] == [8, 20, 1]
+
+
+@pytest.mark.parametrize("page", sorted(path.name for path in DOCS.glob("*.md")))
+def test_links_and_pictures_exist(page):
+    text = (DOCS / page).read_text(encoding="utf-8")
+    for target in re.findall(r"\]\(([^)#]+?)\)", text):
+        if "://" not in target:
+            assert (DOCS / target).exists(), f"{page} points to {target}"
+
+
+def test_every_figure_of_the_paper_has_its_picture():
+    text = (DOCS / "gallery.md").read_text(encoding="utf-8")
+    assert all(f"gallery/figure_{k}.png" in text for k in range(1, 10))
