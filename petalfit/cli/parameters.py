@@ -1,6 +1,5 @@
 """`petalfit parameters`: what there is to fit."""
 
-import dataclasses
 import inspect
 from typing import TYPE_CHECKING, Annotated
 
@@ -25,6 +24,7 @@ def component(name: str) -> "type[AbstractSurface]":
         for name, kind in vars(components).items()
         if inspect.isclass(kind)
         and issubclass(kind, AbstractSurface)
+        and not inspect.isabstract(kind)
         and kind is not components.Posed
     }
     require(name in kinds, f"there is no model {name!r}; the models are {', '.join(kinds)}.")
@@ -38,9 +38,10 @@ def parameters(model: Model = "PeonyPetal") -> int:
 
     from petalfit.cli.console import output
     from petalfit.components import parameters as declared
+    from petalfit.surfaces import value_at
 
     kind = component(model)
-    defaults = {field.name: field.default for field in dataclasses.fields(kind)}
+    one = kind()
     table = Table(box=box.SIMPLE_HEAD, header_style="bold", pad_edge=False, padding=(0, 1, 0, 0))
     for heading in ("name", "symbol", "unit"):
         table.add_column(heading)
@@ -52,7 +53,7 @@ def parameters(model: Model = "PeonyPetal") -> int:
         meaning = parameter.meaning + (" (fixed unless freed)" if parameter.fixed else "")
         spans = (f"{low:g} to {high:g}" for low, high in (parameter.bounds, parameter.typical))
         table.add_row(
-            name, parameter.symbol, unit, f"{defaults[name]:g}", "\n".join(spans), meaning
+            name, parameter.symbol, unit, f"{value_at(one, name):g}", "\n".join(spans), meaning
         )
     output().print(table)
     return SUCCESS

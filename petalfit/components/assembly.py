@@ -3,18 +3,139 @@
 from __future__ import annotations
 
 import abc
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
 
-from petalfit.surfaces import AbstractSurface, Pose
+from petalfit.surfaces import WRAPPED, AbstractSurface, Domain, Pose
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from petalfit.observations import PointCloud
 
 
-class AbstractAssembly(eqx.Module):
+class AbstractAssembly(AbstractSurface):
     """Named surfaces, each posed in the frame of the whole. A subclass says where its parts are.
 
     Poses may depend on the parts: an anther stands where its filament ends, however long that is.
+
+    As a surface its domain is an atlas, u ∈ [0, 1] and v ∈ [0, number of parts]. The part k has the
+    chart v ∈ [k + ¼, k + ¾]; what lies between charts belongs to the nearer one's edge, or goes on where
+    the part runs around.
     """
 
     @abc.abstractmethod
     def parts(self) -> dict[str, tuple[Pose, AbstractSurface]]:
         """Pose and surface of every part by its name; a name with a / is a part of a part."""
+
+    @property
+    def domain(self) -> Domain:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return Domain((0.0, 1.0), (0.0, float(len(self.parts()))))
+
+    def position(self, u: Array, v: Array) -> Array:
+        number = jnp.floor(v)
+        found = jnp.zeros((*u.shape, 3), u.dtype)
+        for k, (pose, surface) in enumerate(self.parts().values()):
+            low, high = np.array(surface.domain).T
+            along = 2 * jnp.clip(v - k, 0.0, 1.0) - 0.5
+            if surface.edges[1]:
+                along = jnp.clip(along, 0.0, 1.0)
+            here = surface.position(low[0] + (high - low)[0] * u, low[1] + (high - low)[1] * along)
+            found = jnp.where((number == k)[..., None], pose(here), found)
+        return found
+
+    def part(self, number: int) -> PartOf:
+        """One of its surfaces, in the frame of the whole."""
+        return PartOf(self, number)
+
+    def in_atlas(self, number: int, uv: Float[Array | np.ndarray, "n 2"]) -> Float[Array, "n 2"]:
+        """Places of a part's own domain, in the atlas."""
+        _, surface = [*self.parts().values()][number]
+        low, high = np.array(surface.domain).T
+        fraction = (uv - low) / (high - low)
+        along = fraction[:, 1]
+        if not surface.edges[1]:
+            along = along % 1.0
+        return jnp.stack([fraction[:, 0], number + 0.25 + 0.5 * along], axis=-1)
+
+    def mesh(self, resolution: tuple[int, int] = (65, 65)) -> trimesh.Trimesh:
+        """One triangle mesh of all parts."""
+        import trimesh
+
+        meshes = []
+        for pose, surface in self.parts().values():
+            mesh = surface.mesh(resolution)
+            normals = mesh.vertex_normals @ np.asarray(pose.rotation).T
+            mesh.apply_transform(pose.matrix())
+            mesh.vertex_normals = normals
+            meshes.append(mesh)
+        return trimesh.util.concatenate(meshes)  # pyright: ignore[reportReturnType]
+
+    def area(self, resolution: tuple[int, int] = (512, 256)) -> Float[Array, ""]:
+        """The area of all parts together, hidden ones included."""
+        parts = self.parts().values()
+        areas = [pose.scale**2 * surface.area(resolution) for pose, surface in parts]
+        return jnp.sum(jnp.stack(areas))
+
+    def sample(self, n: int, seed: int = 0, noise: float = 0.0) -> PointCloud:
+        """An area-uniform random cloud of all parts, hidden ones included."""
+        from petalfit.observations import PointCloud
+
+        rng = np.random.default_rng(seed)
+        parts = [*self.parts().values()]
+        areas = np.array([float(pose.scale**2 * surface.area()) for pose, surface in parts])
+        counts = rng.multinomial(n, areas / areas.sum())
+        points, normals = [], []
+        for k, (pose, surface) in enumerate(parts):
+            if counts[k]:
+                cloud = surface.sample(int(counts[k]), seed=seed + k)
+                points.append(np.asarray(pose(cloud.points)))
+                normals.append(cloud.normals @ np.asarray(pose.rotation).T)
+        place = np.concatenate(points)
+        return PointCloud(place + noise * rng.standard_normal(place.shape), np.concatenate(normals))
+
+
+class PartOf(AbstractSurface):
+    """One surface of an assembly in the frame of the whole, as a function of all the whole's parameters.
+
+    Attributes:
+        assembly: The whole.
+        number: Of the part, from 0.
+    """
+
+    assembly: AbstractAssembly = eqx.field(metadata=WRAPPED)
+    number: int = eqx.field(static=True)
+
+    @property
+    def _posed(self) -> tuple[Pose, AbstractSurface]:
+        return [*self.assembly.parts().values()][self.number]
+
+    @property
+    def domain(self) -> Domain:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self._posed[1].domain
+
+    @property
+    def orientation(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self._posed[1].orientation
+
+    @property
+    def edges(self) -> tuple[bool, bool]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self._posed[1].edges
+
+    @property
+    def regular(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self._posed[1].regular
+
+    def position(self, u: Array, v: Array) -> Array:
+        pose, surface = self._posed
+        return pose(surface.position(u, v))
+
+    def __getattr__(self, name: str) -> Any:
+        # Only asked for what PartOf itself does not have: the whole's parameters.
+        if name.startswith("_"):
+            raise AttributeError(name)
+        return getattr(object.__getattribute__(self, "assembly"), name)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from petalfit.surfaces import AbstractSurface, Domain, Scalar, parameter
+from petalfit.surfaces import WRAPPED, AbstractSurface, Domain, Scalar, parameter
 
 
 class Posed(AbstractSurface):
@@ -23,7 +24,7 @@ class Posed(AbstractSurface):
         unit: Length of one unit of the shifts, in the target's unit.
     """
 
-    surface: AbstractSurface
+    surface: AbstractSurface = eqx.field(metadata=WRAPPED)
     rotation: Float[Array | np.ndarray, "3 3"]
     origin: Float[Array | np.ndarray, "3"]
     unit: Scalar

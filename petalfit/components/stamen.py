@@ -87,8 +87,8 @@ class Stamen(AbstractAssembly):
         0.0,
         symbol="τ",
         unit="rad",
-        bounds=(-3.2, 3.2),
-        typical=(-1.6, 1.6),
+        bounds=(-1.6, 1.6),  # a half turn more is the same anther
+        typical=(-1.5, 1.5),
         meaning="how far the anther is tipped over",
     )
 

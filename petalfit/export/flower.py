@@ -12,7 +12,7 @@ import numpy as np
 
 from petalfit import __version__  # pyright: ignore[reportAttributeAccessIssue]  # not lazy
 from petalfit.colours import Colour, to_linear
-from petalfit.components import AbstractAssembly, parameters
+from petalfit.components import parameters
 from petalfit.export.mesh import SUFFIXES, obj_text
 from petalfit.flowers import Flower, Grown, grow
 from petalfit.flowers.flower import short
@@ -142,7 +142,7 @@ def _organ_extras(flower: Flower, grown: Grown, k: int) -> dict[str, Any]:
     }
 
 
-def _values(organ: AbstractSurface | AbstractAssembly) -> dict[str, float]:
+def _values(organ: AbstractSurface) -> dict[str, float]:
     return {name: getattr(organ, name) for name in parameters(organ) if "." not in name}
 
 

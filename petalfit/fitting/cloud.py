@@ -19,6 +19,7 @@ from petalfit.fitting.rounds import (
     AbstractObserved,
     Account,
     Polished,
+    Progress,
     Seen,
     Settled,
     finish,
@@ -36,8 +37,6 @@ _START_POINTS = 1536
 _BIAS_POINTS = 6144
 # Rivals of the best rib frequency are followed if the periodogram prefers it by less than this in χ².
 _CLEAR_LEAD = 50.0
-
-Progress = Callable[[str], None]
 
 
 def pad(points: np.ndarray, weights: np.ndarray, noise: float | None) -> Data:
@@ -197,7 +196,7 @@ def fit_cloud(
     elif isinstance(template, PeonyPetal):
         starts = [*_starts(coordinates, points, weights, order, noise, progress)]
     else:
-        starts = [*_component_starts(coordinates, points, weights, order, progress)]
+        starts = component_starts(coordinates, _whole, points, weights, order, progress)
     ends = []
     for label, model in starts:
         progress(f"polishing from {label}")
@@ -245,13 +244,18 @@ def with_all_points(
     return dataclasses.replace(end, seen=parts)
 
 
-def _component_starts(
+def _whole(points: np.ndarray, weights: np.ndarray, noise: float | None) -> ObservedCloud:
+    return ObservedCloud(pad(points, weights, noise))
+
+
+def component_starts(
     coordinates: Coordinates,
+    observe: Callable[[np.ndarray, np.ndarray, float | None], AbstractObserved],
     points: np.ndarray,
     weights: np.ndarray,
     order: np.ndarray,
     progress: Progress,
-) -> Iterator[tuple[str, AbstractSurface]]:
+) -> list[tuple[str, AbstractSurface]]:
     """Starts of any component: as far as the points in all directions, then near to them."""
     progress("searching the extent")
     some = order[:_START_POINTS]
@@ -261,20 +265,21 @@ def _component_starts(
                np.delete(points[some], k, 1), weights[some])
         for k in range(3)
     ]  # fmt: skip
-    cloud = ObservedCloud(pad(points[some], weights[some], None))
+    cloud = observe(points[some], weights[some], None)
     found = []
     for t in search(coordinates, shadows, _CANDIDATES):
         model = minimise(coordinates, [cloud], coordinates.model(t), [None], 4, 0.5).model
         found.append((cloud.misfit(model), model))
     found.sort(key=lambda start: start[0])
-    different: list[np.ndarray] = []
+    different: list[tuple[str, AbstractSurface]] = []
     for _, model in found:
         t = coordinates.inverse(model)
-        if all(np.max(np.abs(t - other)) > _SAME for other in different):
-            different.append(t)
-            yield f"extent {len(different)}", model
+        apart = [np.max(np.abs(t - coordinates.inverse(other))) > _SAME for _, other in different]
+        if all(apart):
+            different.append((f"extent {len(different) + 1}", model))
         if len(different) == _FOLLOWED:
-            return
+            break
+    return different
 
 
 def _starts(

@@ -26,7 +26,7 @@ from petalfit.fitting.result import FitResult
 from petalfit.fitting.rounds import Settled
 from petalfit.fitting.summary import at_bounds
 from petalfit.observations import PointCloud, TargetError, Texture
-from petalfit.surfaces import AbstractSurface
+from petalfit.surfaces import AbstractSurface, value_at
 
 # Candidates are scored on so many places, and that many of the best are followed.
 _SOME = 4096
@@ -317,7 +317,7 @@ def _result(
     sigma = max(sigma, 1e-12)
     settled = [_settled(coordinates, end, sigma) for end in ends]
     model = jax.tree.map(float, settled[0].model)
-    values = {name: float(getattr(model, name)) for name in declared}
+    values = {name: float(value_at(model, name)) for name in declared}
     shown = np.asarray(_look(coordinates, _Data(texture.uv, seen.intensity, weights), best.t))
     starts = tuple(_start(end, settled[0].chi2, names, sigma) for end in settled)
     matrix, stderr, close = _uncertainty(settled, starts, declared)
@@ -398,7 +398,7 @@ def _settled(coordinates: Coordinates, end: _End, sigma: float) -> Settled:
 
 
 def _start(end: Settled, best: float, names: tuple[str, ...], sigma: float) -> Start:
-    values = {name: float(getattr(end.model, name)) for name in names}
+    values = {name: float(value_at(end.model, name)) for name in names}
     label = ", ".join(f"{name} {value:.3g}" for name, value in values.items())
     return Start(label, values, sigma * math.sqrt(end.chi2 / max(best, 1e-300)), end.chi2 - best)
 
@@ -423,7 +423,7 @@ def colours_on(surface: AbstractSurface | FitResult, cloud: PointCloud) -> Textu
     assert isinstance(model, AbstractSurface)
     with jax.enable_x64(True):
         rows = pad_to(points, bucket(len(points)))
-        model = jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), model)
+        model = programs.numbers(model)
         uv = programs.refine(model, rows, feet(model, jnp.asarray(rows)), 3)
     low, high = np.array(model.domain).T
     places = np.clip((np.asarray(uv)[: len(points)] - low) / (high - low), 0, 1) - [0.5, 0.0]

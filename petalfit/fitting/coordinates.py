@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from petalfit.components import parameters
-from petalfit.surfaces import Scalar
+from petalfit.surfaces import Scalar, value_at
 
 Model = TypeVar("Model", bound=eqx.Module)
 # NumPy's outside of compiled programs: there jax would compile every little operation.
@@ -74,7 +74,7 @@ class Coordinates(eqx.Module, Generic[Model]):
 
     def inverse(self, model: Model) -> Float[np.ndarray, " p"]:
         """Coordinates of a model's free parameters, which are first moved inside their bounds."""
-        return self.place(np.array([getattr(model, name) for name in self.free], np.float64))
+        return self.place(np.array([value_at(model, name) for name in self.free], np.float64))
 
     def place(self, values: Float[np.ndarray, "... p"]) -> Float[np.ndarray, "... p"]:
         """Coordinates of values, which are first moved inside their bounds."""
@@ -84,7 +84,7 @@ class Coordinates(eqx.Module, Generic[Model]):
     def model(self, t: Float[Numbers, " p"]) -> Model:
         """The model at the coordinates t."""
         values = self.values(t)
-        where = lambda model: [getattr(model, name) for name in self.free]  # noqa: E731
+        where = lambda model: [value_at(model, name) for name in self.free]  # noqa: E731
         return eqx.tree_at(where, self.template, [values[i] for i in range(len(self.free))])
 
     def spread(self, count: int) -> Float[np.ndarray, "m p"]:
@@ -100,13 +100,13 @@ class Coordinates(eqx.Module, Generic[Model]):
 
     def gather(self, tree: eqx.Module) -> Array:
         """Leaves of the free parameters of a pytree like the model, stacked on the last axis."""
-        return jnp.stack([getattr(tree, name) for name in self.free], axis=-1)
+        return jnp.stack([value_at(tree, name) for name in self.free], axis=-1)
 
 
 def with_values(model: Model, values: Mapping[str, Scalar | np.ndarray]) -> Model:
     """The model with some of its parameters replaced."""
     new = [np.asarray(value, np.float64) for value in values.values()]
-    return eqx.tree_at(lambda m: [getattr(m, name) for name in values], model, new)
+    return eqx.tree_at(lambda m: [value_at(m, name) for name in values], model, new)
 
 
 def _arrays(model: Model) -> Model:

@@ -14,7 +14,7 @@ from petalfit.fitting.estimate import CLEAR_LEAD
 from petalfit.fitting.peony_start import RIBS
 from petalfit.fitting.rounds import Polished, Settled
 from petalfit.fitting.solve import Prior
-from petalfit.surfaces import AbstractSurface
+from petalfit.surfaces import AbstractSurface, value_at
 
 # A parameter is determined if its standard error is below this many standard deviations of its
 # typical range, taken as uniform.
@@ -132,7 +132,7 @@ def combinations(
         members = np.flatnonzero(~found & alone & (np.abs(direction) > 0.1)).tolist()
         if len(members) < 2:
             continue
-        values = np.array([float(getattr(end.model, names[k])) for k in members])
+        values = np.array([float(value_at(end.model, names[k])) for k in members])
         relative = direction[members] * spread[members] / np.where(values == 0, np.inf, values)
         words = [names[k] for k in members]
         if "scale" in words:
@@ -176,7 +176,7 @@ def stay_at_the_start(
         return end
     found = known_alone(end, free, parameters(template))
     unknown = {name for name, yes in zip(free, found, strict=True) if not yes}
-    start = {name: getattr(template, name) for name in free if name in unknown}
+    start = {name: value_at(template, name) for name in free if name in unknown}
     if rest := {name: value for name, value in start.items() if name not in RIBS}:
         centre = coordinates.inverse(with_values(end.model, rest))
         prior = Prior(centre, np.isin(free, [*rest]).astype(float))

@@ -13,7 +13,8 @@ import jax
 import numpy as np
 
 from petalfit.colours import AbstractPattern, from_hex
-from petalfit.components import PeonyPetal, Posed, parameters
+from petalfit.components import AbstractAssembly, PeonyPetal, Posed, parameters
+from petalfit.fitting.assembly import fit_assembly
 from petalfit.fitting.cloud import fit_cloud
 from petalfit.fitting.colours import ColourFit, colours_on, fit_colours
 from petalfit.fitting.estimate import FitError
@@ -32,7 +33,7 @@ from petalfit.observations import (
     Texture,
     as_point_cloud,
 )
-from petalfit.surfaces import AbstractSurface
+from petalfit.surfaces import AbstractSurface, value_at
 
 Fittable: TypeAlias = AbstractSurface | AbstractPattern
 # Of a petal, in the model's unit, for a mask without a camera.
@@ -214,8 +215,16 @@ def run(
             (cloud,) = clouds
             weights = np.ones(len(cloud)) if cloud.weights is None else cloud.weights
             _check_count(weights, names)
-            ends = fit_cloud(template, names, cloud.points, weights, **options)
+            if isinstance(template, AbstractAssembly):
+                ends = fit_assembly(template, names, cloud.points, weights, **options)
+            else:
+                ends = fit_cloud(template, names, cloud.points, weights, **options)
             return Fitted(template, names, targets, ends)
+        if isinstance(template, AbstractAssembly):
+            raise TargetError(
+                f"a {type(template).__name__} has several surfaces, which are fitted to one cloud; "
+                "masks, or several targets, need a component of one."
+            )
         contours = [Contour.of(view) for view in views]
         if any(view.camera is None for view in views):
             template = _without_camera(template, targets, contours, placed or {})
@@ -282,7 +291,7 @@ def _configuration(
             )
         names = tuple(name for name in declared if name in wanted)
     for name, parameter in declared.items():
-        value = float(getattr(template, name))
+        value = float(value_at(template, name))
         low, high = parameter.bounds
         if not low < value < high:
             raise TargetError(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -17,6 +17,7 @@ from petalfit.fitting.peony_start import FREQUENCIES, RIBS, RibBasin, rib_basins
 from petalfit.fitting.rounds import (
     AbstractObserved,
     Polished,
+    Progress,
     Settled,
     finish,
     glance,
@@ -26,7 +27,7 @@ from petalfit.fitting.solve import Prior
 from petalfit.fitting.view_start import Shadow, search
 from petalfit.fitting.views import CORRELATED, ObservedViews, View, padded, rows
 from petalfit.observations import Contour, PointCloud, TargetError
-from petalfit.surfaces import AbstractSurface, outline
+from petalfit.surfaces import AbstractSurface, outline, value_at
 
 _CANDIDATES = 20
 # A candidate that follows the contours as closely as this is right; others need not be looked at.
@@ -41,7 +42,6 @@ _SCALES = 25
 # Coordinates closer than this are one outline.
 _SAME = 0.3
 
-Progress = Callable[[str], None]
 Start = tuple[str, AbstractSurface]
 
 
@@ -243,7 +243,7 @@ def _rescaled(joint: Joint, held: Coordinates, model: AbstractSurface) -> list[A
     assert isinstance(model, Posed)
     found: list[tuple[float, AbstractSurface]] = []
     for factor in np.geomspace(0.4, 2.5, _SCALES):
-        values = {name: float(getattr(model, name)) * factor for name in lengths}
+        values = {name: float(value_at(model, name)) * factor for name in lengths}
         typical = [parameters(model)[name].typical for name in lengths]
         if not all(
             0.8 * low < value < 1.25 * high

@@ -14,6 +14,7 @@ from petalfit.fitting.result import FitResult, Profile
 from petalfit.fitting.rounds import Settled
 from petalfit.fitting.views import CORRELATED
 from petalfit.observations import TargetError
+from petalfit.surfaces import with_value
 
 _REACH = 5.0  # standard errors to either side
 _NEAR = 12.0  # χ² above the minimum up to which a parabola is fitted
@@ -52,7 +53,7 @@ def with_profile(
         model = start
         for k in (*side, *side[-2::-1]):
             tell(f"profile of {name}: {values[k]:.4g}")
-            model = dataclasses.replace(model, **{name: float(values[k])})
+            model = with_value(model, name, float(values[k]))
             ends = run(
                 model,
                 rest,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from petalfit.compilation import Program
@@ -12,6 +13,11 @@ from petalfit.fitting import survey as _survey
 from petalfit.fitting.coordinates import Coordinates
 from petalfit.residuals import ContourDistance, nearest_nodes, pull_back, refine_foot_points
 from petalfit.surfaces import AbstractSurface
+
+
+def numbers(surface: AbstractSurface) -> AbstractSurface:
+    """The surface with NumPy's doubles for leaves, so that equal shapes mean the same program."""
+    return jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), surface)
 
 
 def _positions(surfaces: AbstractSurface, uv: Float[Array, "n 2"]) -> Float[Array, "k n 3"]:

@@ -17,7 +17,7 @@ from petalfit.fitting.estimate import Estimate, Start, quantile
 from petalfit.fitting.targets import target_from_json, target_to_json
 from petalfit.observations import PointCloud, Silhouette, TargetError
 from petalfit.observations.atomic import atomic_path
-from petalfit.surfaces import AbstractSurface, Pose
+from petalfit.surfaces import AbstractSurface, Pose, with_value
 
 if TYPE_CHECKING:
     import trimesh
@@ -233,23 +233,22 @@ class FitResult(Estimate):
         head["options"] = {
             field.name: getattr(self.model, field.name)
             for field in dataclasses.fields(self.model)
-            if field.name not in parameters(self.model)
+            if field.metadata.get("static")
         }
         return head | {name: _encode(value) for name, value in fields.items()}
 
     @classmethod
     def _from_json(cls, content: dict[str, Any]) -> FitResult:
         fields = {name: _decode(value) for name, value in content.items()}
-        model = getattr(components, content["model"])
+        model = getattr(components, content["model"])(**fields["options"])
+        for name in parameters(model):
+            model = with_value(model, name, float(fields["values"][name]))
         pose = fields["pose"]
         kept = {field.name for field in dataclasses.fields(cls)} & fields.keys()
         return cls(
             **{name: fields[name] for name in kept}
             | {
-                "model": model(
-                    **fields["options"],
-                    **{name: float(fields["values"][name]) for name in parameters(model)},
-                ),
+                "model": model,
                 "pose": Pose(
                     np.array(pose["rotation"]), np.array(pose["translation"]), pose["scale"]
                 ),

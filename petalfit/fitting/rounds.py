@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import abc
 import dataclasses
-from collections.abc import Sequence
-from typing import Generic, NamedTuple, TypeVar
+from collections.abc import Callable, Sequence
+from typing import Generic, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -17,6 +17,7 @@ from petalfit.residuals import AbstractTerm
 from petalfit.surfaces import AbstractSurface
 
 Surface = TypeVar("Surface", bound=AbstractSurface)
+Progress: TypeAlias = Callable[[str], None]
 # In the first rounds foot points look around after every second one. Later they do not: a foot point
 # that jumps to and fro must not keep the rest moving.
 _LOOKING_ROUNDS = 16

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Sequence
 
@@ -14,7 +13,7 @@ from petalfit.fitting.estimate import Start, rivals
 from petalfit.fitting.result import Agreement, FitResult
 from petalfit.fitting.rounds import Settled
 from petalfit.observations import PointCloud, Silhouette
-from petalfit.surfaces import AbstractSurface, Pose
+from petalfit.surfaces import AbstractSurface, Pose, is_of_revolution, value_at, with_value
 
 # Distances of more than this fraction of a target's size are no noise.
 _MISFIT = 0.02
@@ -50,12 +49,12 @@ def summarise(
         for target, part in zip(targets, best.seen, strict=True)
     ]
     finite = bool(
-        all(np.isfinite(float(getattr(best.model, name))) for name in declared)
+        all(np.isfinite(float(value_at(best.model, name))) for name in declared)
         and np.isfinite(best.information).all()
         and all(np.isfinite(part.distances).all() for part in agreements)
     )
     source = best.model if finite else template
-    values = {name: float(getattr(source, name)) for name in declared}
+    values = {name: float(value_at(source, name)) for name in declared}
     if finite:
         matrix, found = covariance(ends, names, declared)
     else:
@@ -98,8 +97,10 @@ def summarise(
         values, matrix = _in_pixels(source, names, values, matrix)
     stderr = dict(zip(names, map(float, np.sqrt(np.diag(matrix))), strict=True))
     model = bare(source)
+    for name in parameters(model):
+        model = with_value(model, name, values[name])
     return FitResult(
-        model=dataclasses.replace(model, **{name: values[name] for name in parameters(model)}),
+        model=model,
         pose=pose,
         values=values,
         stderr=stderr,
@@ -109,18 +110,25 @@ def summarise(
         agreements=tuple(agreements),
         converged=status == "converged",
         status=status,
-        message="; ".join([message, *warnings]),
+        message="; ".join([message, *warnings, *_symmetries(model)]),
         warnings=tuple(warnings),
         steps=best.rounds,
         starts=starts,
     )
 
 
+def _symmetries(model: AbstractSurface) -> list[str]:
+    """What no target can tell of this surface, and no parameter says."""
+    if not is_of_revolution(model):
+        return []
+    return ["it is a surface of revolution: no target tells how it is turned about its y axis"]
+
+
 def _starts(ends: list[Settled], names: tuple[str, ...]) -> tuple[Start, ...]:
     return tuple(
         Start(
             end.label,
-            {name: float(getattr(end.model, name)) for name in names},
+            {name: float(value_at(end.model, name)) for name in names},
             math.sqrt(np.average(end.seen[0].distance ** 2, weights=end.seen[0].weights)),
             end.chi2 - ends[0].chi2,
         )

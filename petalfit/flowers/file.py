@@ -20,13 +20,13 @@ from petalfit.components import AbstractAssembly, Pedicel, Posed, parameters
 from petalfit.flowers import phyllotaxis
 from petalfit.flowers.androecium import stamens
 from petalfit.flowers.attachment import Attachment
-from petalfit.flowers.flower import Flower, Organ, Series
+from petalfit.flowers.flower import Flower, Series
 from petalfit.flowers.grown import PETAL, require_memory
 from petalfit.flowers.gynoecium import pistils
 from petalfit.flowers.phyllotaxis import Arrangement
-from petalfit.flowers.settings import FlowerError, checked, declared, leaf, replaced
+from petalfit.flowers.settings import FlowerError, checked, declared
 from petalfit.observations.atomic import atomic_path
-from petalfit.surfaces import AbstractSurface
+from petalfit.surfaces import AbstractSurface, value_at, with_value
 
 FORMAT, VERSION = "petalfit.Flower", 1
 _ARRANGEMENTS = ("whorls", "recursion", "scattered", "l_system", "azimuth")
@@ -135,12 +135,12 @@ def _mapping(content: Any, where: str) -> Mapping[str, Any]:
     return content
 
 
-def _organ_class(name: Any, where: str) -> type[Organ]:
+def _organ_class(name: Any, where: str) -> type[AbstractSurface]:
     kinds = {
         key: kind
         for key, kind in vars(components).items()
         if inspect.isclass(kind)
-        and issubclass(kind, AbstractSurface | AbstractAssembly)
+        and issubclass(kind, AbstractSurface)
         and kind not in (Posed, AbstractAssembly)
     }
     if name not in kinds:
@@ -148,7 +148,7 @@ def _organ_class(name: Any, where: str) -> type[Organ]:
     return kinds[name]
 
 
-def _organ(entry: _Entry) -> Organ:
+def _organ(entry: _Entry) -> AbstractSurface:
     """A component with its defaults and its options."""
     kind = _organ_class(entry.take("component"), entry.where)
     options = _mapping(entry.take("options", {}), f"{entry.where}: options")
@@ -164,12 +164,12 @@ def _organ(entry: _Entry) -> Organ:
         raise FlowerError(f"{entry.where}: {error}.") from None
 
 
-def _single(content: Any, where: str) -> tuple[Organ, Colour]:
+def _single(content: Any, where: str) -> tuple[AbstractSurface, Colour]:
     """The receptacle, or the pedicel."""
     entry = _Entry(content, where)
     organ = _organ(entry)
     for path, value in _mapping(entry.take("parameters", {}), f"{where}: parameters").items():
-        organ = replaced(organ, path, checked(value, path, declared(organ, path, where), where))
+        organ = with_value(organ, path, checked(value, path, declared(organ, path, where), where))
     colour = _colour(entry.take("colour", "#7f9a4a"), where)
     entry.finish()
     return organ, colour
@@ -201,7 +201,7 @@ def _of_a_kind(entry: _Entry, what: str) -> Series:
     organ: Any = components.Stamen() if what == "stamens" else components.Pistil()
     for path, value in _mapping(entry.take("parameters", {}), f"{entry.where}: parameters").items():
         value = checked(value, path, declared(organ, path, entry.where), entry.where)
-        organ = replaced(organ, path, value)
+        organ = with_value(organ, path, value)
     try:
         if what == "stamens":
             count = entry.whole("count", 0, 0) or None
@@ -262,7 +262,7 @@ def _with_values(
         parameter = declared(one, path, entry.where)
         row = _row(given, rank, rng, f"{entry.where}.{path}")
         row = np.array([checked(value, path, parameter, entry.where) for value in row])
-        part = replaced(part, path, row)
+        part = with_value(part, path, row)
     return eqx.tree_at(lambda s: getattr(s, field), series, part)
 
 
@@ -368,7 +368,7 @@ def _described(one: eqx.Module, all_: eqx.Module | None = None) -> dict[str, Any
     options = {
         f.name: getattr(one, f.name) for f in dataclasses.fields(one) if f.metadata.get("static")
     }
-    values = {path: _numbers(leaf(all_ or one, path)) for path in parameters(one)}
+    values = {path: _numbers(value_at(all_ or one, path)) for path in parameters(one)}
     return {"component": type(one).__name__, **({"options": options} if options else {}),
             "parameters": values}  # fmt: skip
 

@@ -17,7 +17,6 @@ from petalfit.flowers.attachment import Attachment
 from petalfit.flowers.phyllotaxis import Arrangement
 from petalfit.surfaces import AbstractSurface, Pose
 
-Organ: TypeAlias = AbstractSurface | AbstractAssembly
 Values: TypeAlias = float | np.ndarray
 
 
@@ -34,7 +33,7 @@ class Series(eqx.Module):
     """
 
     name: str = eqx.field(static=True)
-    organ: Organ
+    organ: AbstractSurface
     attachment: Attachment
     colours: dict[str, Colour]
 
@@ -42,7 +41,7 @@ class Series(eqx.Module):
     def of(
         cls,
         name: str,
-        organ: Organ | Sequence[Organ],
+        organ: AbstractSurface | Sequence[AbstractSurface],
         arrangement: Arrangement,
         colours: Colour | Mapping[str, Colour],
         **attachment: Values,
@@ -60,7 +59,7 @@ class Series(eqx.Module):
             ValueError: There are as many organs or values as there are places.
         """
         k = len(arrangement)
-        each = [organ] * k if isinstance(organ, AbstractSurface | AbstractAssembly) else [*organ]
+        each = [organ] * k if isinstance(organ, AbstractSurface) else [*organ]
         if len(each) != k:
             raise ValueError(f"{name}: {len(each)} organs for {k} places")
         stacked = jax.tree.map(lambda *leaves: np.array(leaves, np.float64), *each)
@@ -94,13 +93,13 @@ class Series(eqx.Module):
             return [self.name]
         return [f"{self.name}_{k + 1}" for k in range(len(self))]
 
-    def one(self, k: int) -> Organ:
+    def one(self, k: int) -> AbstractSurface:
         """The organ of that number, counted from 0."""
         return jax.tree.map(lambda leaf: leaf[k], self.organ)
 
 
-def _part_names(organ: Organ) -> list[str]:
-    return [""] if isinstance(organ, AbstractSurface) else [*organ.parts()]
+def _part_names(organ: AbstractSurface) -> list[str]:
+    return [*organ.parts()] if isinstance(organ, AbstractAssembly) else [""]
 
 
 def short(part: str) -> str:
@@ -160,7 +159,7 @@ class Flower(eqx.Module):
 
     def parts(self) -> list[Part]:
         """Every surface of the flower, those of one kind of organ together."""
-        one = Pose(np.eye(3)[None], np.zeros((1, 3)), np.ones(1))
+        one = Pose(jnp.eye(3)[None], jnp.zeros((1, 3)), jnp.ones(1))
         found = [Part(RECEPTACLE, "", _batch(self.receptacle), one, one)]
         if self.pedicel is not None:
             bottom = self.receptacle.position(jnp.asarray(-0.5 * np.pi), jnp.zeros(()))
@@ -169,7 +168,7 @@ class Flower(eqx.Module):
             found.append(Part(PEDICEL, "", _batch(self.pedicel), one, below))
         for number, series in enumerate(self.series):
             outer = jax.vmap(lambda place: place.pose(self.receptacle))(series.attachment)
-            if isinstance(series.organ, AbstractSurface):
+            if not isinstance(series.organ, AbstractAssembly):
                 inner = jax.vmap(_on_its_base)(series.organ)
                 found.append(Part(number, "", series.organ, inner, outer))
                 continue

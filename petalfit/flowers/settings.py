@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import functools
 import math
-from collections.abc import Callable, Mapping
-from typing import Any, TypeVar
+from collections.abc import Mapping
+from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -13,9 +12,7 @@ import numpy as np
 from petalfit.components import parameters
 from petalfit.flowers.attachment import Attachment
 from petalfit.flowers.flower import Flower, Series
-from petalfit.surfaces import Parameter
-
-T = TypeVar("T", bound=eqx.Module)
+from petalfit.surfaces import Parameter, value_at, with_value
 
 
 class FlowerError(ValueError):
@@ -43,7 +40,7 @@ def _with_setting(flower: Flower, name: str, value: float) -> Flower:
     organ, _, path = name.partition(".")
     if organ == "receptacle" or (organ == "pedicel" and flower.pedicel is not None):
         part = getattr(flower, organ)
-        new = replaced(part, path, checked(value, path, declared(part, path, organ), organ))
+        new = with_value(part, path, checked(value, path, declared(part, path, organ), organ))
         return eqx.tree_at(lambda f: getattr(f, organ), flower, new)
     for number, series in enumerate(flower.series):
         if organ == series.name or organ in series.names:
@@ -64,9 +61,9 @@ def _with_number(series: Series, organ: str, path: str, k: slice | int, value: f
     others = list(parameters(Attachment)) if field == "organ" else []
     one = series.one(0) if field == "organ" else part
     value = checked(value, path, declared(one, path, organ, others), organ)
-    row = np.array(leaf(part, path), np.float64)
+    row = np.array(value_at(part, path), np.float64)
     row[k] = value
-    return eqx.tree_at(lambda s: getattr(s, field), series, replaced(part, path, row))
+    return eqx.tree_at(lambda s: getattr(s, field), series, with_value(part, path, row))
 
 
 def declared(organ: eqx.Module, path: str, name: str, others: list[str] | None = None) -> Parameter:
@@ -100,14 +97,3 @@ def checked(value: Any, path: str, parameter: Parameter, name: str) -> float:
     if not (math.isfinite(value) and low <= value <= high):
         raise FlowerError(f"{name}.{path} = {value:g} lies outside its range, {low:g} to {high:g}.")
     return float(value)
-
-
-def leaf(tree: eqx.Module, path: str) -> Any:
-    """What a dotted path leads to."""
-    return functools.reduce(getattr, path.split("."), tree)
-
-
-def replaced(tree: T, path: str, value: Any) -> T:
-    """The tree with another value where a dotted path leads."""
-    where: Callable[[Any], Any] = lambda tree: leaf(tree, path)  # noqa: E731
-    return eqx.tree_at(where, tree, value)

@@ -97,8 +97,9 @@ def map_chart(picture: Picture, scene: Scene, limit: float, noise: float) -> str
         content += [_line(left - 4, y, left, y), _text(left - 7, y + 4, label, "end")]
     content.append(_text(left + width / 2, bottom + 34, "x", extra=' class="axis-name"'))
     content.append(_text(8.0, top + height / 2, "y", extra=' class="axis-name"'))
-    edge = (scene.outline[:, :2] - picture.corner) * per_unit
-    content.append(_path(np.array([left, bottom]) + edge * [1, -1], "outline"))
+    for outline in scene.outlines:
+        edge = (outline[:, :2] - picture.corner) * per_unit
+        content.append(_path(np.array([left, bottom]) + edge * [1, -1], "outline"))
     content.append(_image(picture, left, top))
     content += _key(right + 16, top + 22, min(height - 30.0, 200.0), limit, noise)
     return _svg(right + key, bottom + 40, "map of signed distances", content)

@@ -112,7 +112,8 @@ def _map(figure: Figure, picture: Picture, scene: Scene, limit: float, noise: fl
 
     axes = _axes(figure, 6.7, 0.1, 2.8, 4.2)
     _show(axes, picture, f"signed distance (noise σ = {plain(noise)})")
-    axes.plot(*scene.outline[:, :2].T, color=_ROSE, linewidth=1.0, zorder=0)
+    for outline in scene.outlines:
+        axes.plot(*outline[:, :2].T, color=_ROSE, linewidth=1.0, zorder=0)
     colours = LinearSegmentedColormap.from_list("distance", [NEGATIVE, ZERO, POSITIVE])
     key = _axes(figure, 9.55, 1.2, 0.1, 2.0)
     figure.colorbar(ScalarMappable(Normalize(-limit, limit), colours), cax=key)

@@ -27,19 +27,19 @@ class Scene:
     """A fit in the petal's axes (x across, y along, z its normal) and the target's unit.
 
     Attributes:
-        vertices: Of the surface, shape (n_u, n_v, 3).
+        vertices: Of the surface, or of every part of an assembly, shape (k, n_u, n_v, 3).
         normals: Unit normals there.
-        points: Those of the target that the map shows, shape (k, 3). Any first part of them is a
+        points: Those of the target that the map shows, shape (m, 3). Any first part of them is a
             fair choice too.
-        distances: Their signed distances to the surface, shape (k,).
-        used: Whether a point had any weight in the fit, shape (k,).
+        distances: Their signed distances to the surface, shape (m,).
+        used: Whether a point had any weight in the fit, shape (m,).
     """
 
-    vertices: Float[np.ndarray, "n_u n_v 3"]
-    normals: Float[np.ndarray, "n_u n_v 3"]
-    points: Float[np.ndarray, "k 3"]
-    distances: Float[np.ndarray, " k"]
-    used: Bool[np.ndarray, " k"]
+    vertices: Float[np.ndarray, "k n_u n_v 3"]
+    normals: Float[np.ndarray, "k n_u n_v 3"]
+    points: Float[np.ndarray, "m 3"]
+    distances: Float[np.ndarray, " m"]
+    used: Bool[np.ndarray, " m"]
 
     @classmethod
     def of(cls, result: FitResult, part: Agreement | None = None) -> Scene:
@@ -53,19 +53,20 @@ class Scene:
             points = (part.target.points[chosen] - pose.translation) @ pose.rotation
             distances, used = part.distances[chosen], part.weights[chosen] > 0
         return cls(
-            float(pose.scale) * np.array(mesh.vertices).reshape(*_RESOLUTION, 3),
-            np.array(mesh.vertex_normals).reshape(*_RESOLUTION, 3),
+            float(pose.scale) * np.array(mesh.vertices).reshape(-1, *_RESOLUTION, 3),
+            np.array(mesh.vertex_normals).reshape(-1, *_RESOLUTION, 3),
             points,
             distances,
             used,
         )
 
     @property
-    def outline(self) -> Float[np.ndarray, "m 3"]:
-        """The surface's edge, once around."""
-        grid = self.vertices
-        sides = grid[:, 0], grid[-1, 1:], grid[-2::-1, -1], grid[0, -2::-1]
-        return np.concatenate(sides)
+    def outlines(self) -> list[Float[np.ndarray, "l 3"]]:
+        """The edge of every sheet, once around."""
+        return [
+            np.concatenate([grid[:, 0], grid[-1, 1:], grid[-2::-1, -1], grid[0, -2::-1]])
+            for grid in self.vertices
+        ]
 
 
 def distance_limit(part: Agreement) -> float:
@@ -157,7 +158,9 @@ def draw_view(
     normals = scene.normals @ view.axes.T
     front = normals[..., 2:] >= 0
     lit = np.clip(np.where(front, normals, -normals) @ _LIGHT, 0, 1)
-    canvas.sheet(xy, depth, shaded(np.where(front, FRONT, REAR), lit))
+    rgb = shaded(np.where(front, FRONT, REAR), lit)
+    for sheet in zip(xy, depth, rgb, strict=True):
+        canvas.sheet(*sheet)
     # Points lie within the noise of the sheet. Those of the visible side are shown whole, those of
     # a side that is turned away are hidden: a lift of some cells tells the two apart.
     lift = 0.01 * float(np.linalg.norm(np.ptp(scene.vertices.reshape(-1, 3), axis=0)))

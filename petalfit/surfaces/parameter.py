@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from operator import attrgetter
+from typing import Any, TypeVar
 
 import equinox as eqx
 
-from petalfit.surfaces.surface import AbstractSurface
-
 _KEY = "petalfit.parameter"
+# Metadata of a field that holds a component whose parameters are the whole's own, by their plain names.
+WRAPPED = {"petalfit.wrapped": True}
+Tree = TypeVar("Tree", bound=eqx.Module)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,19 +61,31 @@ def length(
     )
 
 
-def parameters(model: eqx.Module | type[eqx.Module]) -> dict[str, Parameter]:
-    """The declared parameters of a component or a pattern, by field name, in their order of declaration.
+def value_at(model: eqx.Module, name: str) -> Any:
+    """The value of a parameter by its name, "h" or "filament.h"."""
+    return attrgetter(name)(model)
 
-    Those of a component within an instance come at its field's place: a surface's by their own names, the
-    parts of an assembly by dotted ones, as in "filament.h".
+
+def with_value(model: Tree, name: str, value: Any) -> Tree:
+    """The model with another value of a parameter."""
+    return eqx.tree_at(attrgetter(name), model, value)
+
+
+def parameters(model: eqx.Module | type[eqx.Module]) -> dict[str, Parameter]:
+    """The declared parameters of a component or a pattern, by name, in their order of declaration.
+
+    Those of a component in a field come at the field's place, by dotted names ("filament.h"), or by their
+    own if the field is `WRAPPED`.
     """
     found = {}
     for field in dataclasses.fields(model):
-        part = getattr(model, field.name, None)
         if _KEY in field.metadata:
             found[field.name] = field.metadata[_KEY]
-        elif isinstance(part, AbstractSurface) and isinstance(model, AbstractSurface):
-            found |= parameters(part)
-        elif isinstance(part, eqx.Module):
-            found |= {f"{field.name}.{name}": p for name, p in parameters(part).items()}
+            continue
+        part = getattr(model, field.name, None)
+        if part is None and field.default_factory is not dataclasses.MISSING:
+            part = field.default_factory()
+        if isinstance(part, eqx.Module):
+            prefix = "" if field.metadata == WRAPPED else f"{field.name}."
+            found |= {prefix + name: declared for name, declared in parameters(part).items()}
     return found

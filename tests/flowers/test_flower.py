@@ -9,7 +9,7 @@ import pytest
 
 import petalfit as pf
 from petalfit.flowers import flower_from_json, flower_to_json, grow
-from petalfit.flowers.settings import leaf
+from petalfit.surfaces import value_at
 
 
 @pytest.fixture(scope="module")
@@ -129,13 +129,13 @@ def test_gradients_of_a_whole_flower_are_those_of_finite_differences(lily):
             )
             if number is None:
                 value, found = getattr(lily, organ), getattr(slope, organ)
-                value, found = leaf(value, path), leaf(found, path)
+                value, found = value_at(value, path), value_at(found, path)
             else:
                 series, slopes = lily.series[number], slope.series[number]
                 k = series.names.index(organ)
                 field = "attachment" if hasattr(series.attachment, path) else "organ"
-                value = leaf(getattr(series, field), path)[k]
-                found = leaf(getattr(slopes, field), path)[k]
+                value = value_at(getattr(series, field), path)[k]
+                found = value_at(getattr(slopes, field), path)[k]
             h = 1e-5
             high, low = (
                 float(height(pf.with_settings(lily, {name: float(value) + s * h}))) for s in (1, -1)

@@ -1,0 +1,187 @@
+"""A cloud fit of an organ of several surfaces, whose points have to find their part first."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from petalfit.components import AbstractAssembly
+from petalfit.fitting import programs
+from petalfit.fitting.cloud import ObservedCloud, component_starts, pad
+from petalfit.fitting.coordinates import Coordinates
+from petalfit.fitting.determined import stay_at_the_start
+from petalfit.fitting.rounds import (
+    AbstractObserved,
+    Account,
+    Polished,
+    Progress,
+    Seen,
+    Settled,
+    finish,
+    minimise,
+)
+from petalfit.fitting.solve import Prior
+from petalfit.residuals import AbstractTerm, Data, PartsDistance, TangentDistance
+from petalfit.surfaces import AbstractSurface
+
+_ROUNDS = 30
+_TOLERANCE = 1e-2  # standard errors
+
+
+@dataclasses.dataclass(frozen=True)
+class ObservedParts(AbstractObserved):
+    """A cloud of an assembly, as the rounds need it.
+
+    Attributes:
+        data: The cloud.
+        count: Of its points, without the padding.
+    """
+
+    data: Data
+    count: int
+
+    @classmethod
+    def of(cls, points: np.ndarray, weights: np.ndarray, noise: float | None) -> ObservedParts:
+        return cls(pad(points, weights, noise), len(points))
+
+    def look(self, model: AbstractSurface, term: AbstractTerm | None) -> PartsDistance:
+        """Foot points on every part, and every point shared among the parts that it may be of."""
+        assert isinstance(model, AbstractAssembly)
+        points, feet, gaps = np.asarray(self.data.points), [], []
+        for k, (pose, surface) in enumerate(model.parts().values()):
+            # In the part's own frame: parts of one kind share their programs.
+            rotation, shift = np.asarray(pose.rotation), np.asarray(pose.translation)
+            own = (points - shift) @ rotation / float(pose.scale)
+            surface = programs.numbers(surface)
+            known = isinstance(term, PartsDistance)
+            start = term.terms[k].uv if known else programs.nearest(surface, own)
+            uv = programs.refine(surface, own, start, 2 if known else 6)
+            feet.append(uv)
+            gaps.append(np.asarray(programs.distances(surface, own, uv)) * float(pose.scale))
+        sigma = self.data.sigma if term is None else term.sigma
+        shares = _shares(np.stack(gaps), float(sigma))
+        terms = tuple(
+            TangentDistance(
+                data=self.data._replace(weights=self.data.weights * share),
+                uv=uv,
+                sigma=self.data.sigma,
+            )
+            for share, uv in zip(shares, feet, strict=True)
+        )
+        return PartsDistance(terms=terms, sigma=sigma)
+
+    def misfit(self, model: AbstractSurface) -> float:
+        term = self.look(model, None)
+        assert isinstance(model, AbstractAssembly)
+        total = 0.0
+        extent = 0.01 * np.linalg.norm(np.ptp(np.asarray(self.data.points), axis=0))
+        for k, part in enumerate(term.terms):
+            distance = programs.distances(model.part(k), self.data.points, part.uv)
+            squares = (np.asarray(distance) / extent) ** 2
+            total += float(np.sum(np.asarray(part.data.weights) * np.log1p(squares)))
+        return total / float(np.sum(np.asarray(self.data.weights)))
+
+    def information(
+        self, coordinates: Coordinates, t: np.ndarray, term: AbstractTerm
+    ) -> tuple[np.ndarray, float]:
+        assert isinstance(term, PartsDistance)
+        surveys = [
+            programs.survey(_within(coordinates, k), part.data, t, part.uv)
+            for k, part in enumerate(term.terms)
+        ]
+        counts = np.array([float(np.sum(np.asarray(part.data.weights))) for part in term.terms])
+        sigmas = np.array([float(seen.sigma) for seen in surveys])
+        sigma = float(np.sqrt(np.sum(counts * sigmas**2) / np.sum(counts)))
+        information = np.sum(
+            [np.asarray(seen.information) * (own / sigma) ** 2
+             for seen, own in zip(surveys, sigmas, strict=True)], axis=0)  # fmt: skip
+        return information, sigma
+
+    def account(self, coordinates: Coordinates, t: np.ndarray, term: AbstractTerm) -> Account:
+        assert isinstance(term, PartsDistance)
+        noise = float(term.sigma)
+        found = []
+        for k, part in enumerate(term.terms):
+            data = part.data._replace(sigma=jnp.asarray(noise))
+            if float(np.sum(np.asarray(data.weights))) == 0:
+                continue
+            one = TangentDistance(data=data, uv=part.uv, sigma=jnp.asarray(noise))
+            found.append(ObservedCloud(data).account(_within(coordinates, k), t, one))
+        information = np.sum([account.information for account in found], axis=0)
+        score = np.sum([account.score for account in found], axis=0)
+        return Account(term, information, score, information)
+
+    def seen(self, coordinates: Coordinates, t: np.ndarray, term: AbstractTerm) -> list[Seen]:
+        assert isinstance(term, PartsDistance)
+        parts = [
+            ObservedCloud(part.data).seen(_within(coordinates, k), t, part)[0]
+            for k, part in enumerate(term.terms)
+        ]
+        owner = np.argmin([np.abs(part.distance) for part in parts], axis=0)
+        distance = np.choose(owner, [part.distance for part in parts])[: self.count]
+        weights = np.asarray(self.data.weights)[: self.count]
+        total = float(np.sum(weights))
+        with np.errstate(divide="ignore"):
+            chi2 = total * float(np.log(np.sum(weights * distance**2) / total))
+        return [Seen(distance, weights, float(term.sigma), "length", chi2)]
+
+
+def _shares(gaps: Float[np.ndarray, "k n"], sigma: float) -> Float[np.ndarray, "k n"]:
+    """How likely every point is of each part, all being covered equally densely.
+
+    Where parts run into one another the nearest is not always the right one: it would pull both there.
+    """
+    if not np.isfinite(sigma):
+        return (gaps == gaps.min(axis=0)).astype(float)
+    likely = np.exp(-0.5 * (gaps**2 - gaps.min(axis=0) ** 2) / sigma**2)
+    return likely / likely.sum(axis=0)
+
+
+def _within(coordinates: Coordinates, number: int) -> Coordinates:
+    """The same coordinates, of one part of the assembly."""
+    return dataclasses.replace(coordinates, template=coordinates.template.part(number))
+
+
+def fit_assembly(
+    template: AbstractAssembly,
+    free: tuple[str, ...],
+    points: Float[np.ndarray, "n 3"],
+    weights: Float[np.ndarray, " n"],
+    *,
+    noise: float | None,
+    from_template: bool,
+    seed: int,
+    progress: Progress,
+) -> list[Settled]:
+    """Fit an assembly in the cloud's own frame; see `fit_cloud`.
+
+    Returns:
+        What each start reached, the best first. Call it inside `jax.enable_x64(True)`.
+    """
+    coordinates = Coordinates.of(template, free)
+    observed = ObservedParts.of(points, weights, noise)
+    used = np.flatnonzero(weights > 0)
+    order = used[np.random.default_rng(seed).permutation(len(used))]
+    starts = [("given", coordinates.template)]
+    if not from_template:
+        starts = component_starts(coordinates, ObservedParts.of, points, weights, order, progress)
+
+    def settle(label: str, model: AbstractSurface, prior: Prior | None = None) -> Settled:
+        polished = minimise(
+            coordinates, [observed], model, [None], _ROUNDS, _TOLERANCE, prior, every=2
+        )
+        return finish(coordinates, label, [observed], polished, prior)
+
+    ends = []
+    for label, model in starts:
+        progress(f"polishing from {label}")
+        ends.append(settle(label, model))
+    best, *others = sorted(ends, key=lambda end: end.chi2)
+
+    def again(model: AbstractSurface, _: Polished | None, prior: Prior | None) -> Settled:
+        return settle(best.label, model, prior)
+
+    return [stay_at_the_start(coordinates, best, again), *others]
