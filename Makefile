@@ -29,7 +29,7 @@ demo: $(READY)  ## make a noisy petal, fit it, and say where the pictures are
 
 .PHONY: test
 test: lint  ## lint, then every test that is not slow
-	$(BIN)/pytest
+	$(BIN)/pytest --numprocesses auto --maxprocesses 4 --dist loadfile
 
 .PHONY: test-slow
 test-slow: $(READY)  ## the slow tests alone

@@ -360,7 +360,7 @@ class TestFiles:
         monkeypatch.setattr("zipfile.ZipFile", refuse)
         refused(path, "cannot be read .*Permission denied.*; check its permissions")
 
-    @pytest.mark.parametrize("suffix", set(SUFFIXES) - {".obj", ".xyz", ".txt", ".csv"})
+    @pytest.mark.parametrize("suffix", sorted({*SUFFIXES} - {".obj", ".xyz", ".txt", ".csv"}))
     def test_garbage(self, file, suffix):
         garbage = np.random.default_rng(1).bytes(5000)
         refused(file("a" + suffix, garbage), rf"is damaged, cut short or no \{suffix} file .*\(")
