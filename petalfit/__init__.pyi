@@ -3,6 +3,7 @@ from .colours import RadialPattern as RadialPattern
 from .colours import RibPattern as RibPattern
 from .components import AbstractAssembly as AbstractAssembly
 from .components import Anther as Anther
+from .components import BladePetal as BladePetal
 from .components import Bowl as Bowl
 from .components import CompoundPistil as CompoundPistil
 from .components import ConeReceptacle as ConeReceptacle

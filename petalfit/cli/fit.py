@@ -1,7 +1,7 @@
 """`petalfit fit`: from a file to named parameters, a mesh and a report."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, UseAppendAction, arg
 
@@ -47,6 +47,14 @@ ModelName = Annotated[
         help="Component to fit; `petalfit parameters MODEL` says what it has.",
     ),
 ]
+PoseOption = Annotated[
+    Literal["known", "rigid", "similarity"],
+    arg(
+        name="pose",
+        help="Whether the target is in the model's frame and unit, somewhere in that unit, or somewhere "
+        "in any. The last two are there for --model BladePetal and one cloud.",
+    ),
+]
 Free = Annotated[
     UseAppendAction[tuple[str, ...]],
     arg(
@@ -82,6 +90,7 @@ def fit(
     out: Folder,
     cameras: Cameras = (),
     model: ModelName = "PeonyPetal",
+    pose: PoseOption = "known",
     free: Free = (),
     init: Init = None,
     noise: Noise = None,
@@ -111,6 +120,7 @@ def fit(
             result = fit_petal(
                 read if len(read) > 1 else read[0],
                 model=kind,
+                pose=pose,
                 free=_names(free),
                 init=None if init is None else FitResult.load(init).model,
                 noise=noise,

@@ -1,6 +1,7 @@
 """The organs of the paper as named, differentiable components."""
 
 from petalfit.components.assembly import AbstractAssembly as AbstractAssembly
+from petalfit.components.blade_petal import BladePetal as BladePetal
 from petalfit.components.pedicel import Pedicel as Pedicel
 from petalfit.components.peony_petal import PeonyPetal as PeonyPetal
 from petalfit.components.pistil import CompoundPistil as CompoundPistil

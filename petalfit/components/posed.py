@@ -9,17 +9,40 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from petalfit.surfaces import WRAPPED, AbstractSurface, Domain, Scalar, parameter
+from petalfit.surfaces import WRAPPED, AbstractSurface, Domain, Scalar, parameter, rotation
+
+
+def _shift(axis: str) -> Any:
+    return parameter(
+        0.0,
+        symbol=f"t_{axis}",
+        unit="length",
+        bounds=(-500.0, 500.0),
+        typical=(-20.0, 20.0),
+        meaning=f"place, along {axis} (in an image x is to the right and y downwards)",
+    )
+
+
+def _turn(axis: str) -> Any:
+    return parameter(
+        0.0,
+        symbol=f"ω_{axis}",
+        unit="rad",
+        bounds=(-3.2, 3.2),
+        typical=(-1.0, 1.0),
+        meaning=f"turn about the component's {axis}",
+    )
 
 
 class Posed(AbstractSurface):
-    """unit · (scale · R S(u, v) + (shift_x, shift_y, 0)) + origin, with S of another component.
+    """unit · (scale · R T S(u, v) + shift) + origin, with S of another component.
 
-    Its parameters are the component's and its own, all by their plain names.
+    Its parameters are the component's and its own, all by their plain names. T turns by the vector turn,
+    about its direction by its length.
 
     Attributes:
         surface: The component.
-        rotation: R, from the component's frame.
+        rotation: R, to which turns are added.
         origin: Where shifts are counted from, in the target's unit.
         unit: Length of one unit of the shifts, in the target's unit.
     """
@@ -36,23 +59,23 @@ class Posed(AbstractSurface):
         typical=(0.3, 3.0),
         meaning="size of one unit of the model",
     )
-    shift_x: Scalar = parameter(
-        0.0,
-        symbol="t_x",
-        unit="length",
-        bounds=(-500.0, 500.0),
-        typical=(-20.0, 20.0),
-        meaning="place in the image, to the right",
+    shift_x: Scalar = _shift("x")
+    shift_y: Scalar = _shift("y")
+    shift_z: Scalar = _shift("z")
+    turn_x: Scalar = _turn("x")
+    turn_y: Scalar = _turn("y")
+    turn_z: Scalar = _turn("z")
+    # What is free in an image of unknown place and scale, and in space.
+    in_image: ClassVar[tuple[str, ...]] = ("scale", "shift_x", "shift_y")
+    rigid: ClassVar[tuple[str, ...]] = (
+        "shift_x",
+        "shift_y",
+        "shift_z",
+        "turn_x",
+        "turn_y",
+        "turn_z",
     )
-    shift_y: Scalar = parameter(
-        0.0,
-        symbol="t_y",
-        unit="length",
-        bounds=(-500.0, 500.0),
-        typical=(-20.0, 20.0),
-        meaning="place in the image, downwards",
-    )
-    names: ClassVar[tuple[str, ...]] = ("scale", "shift_x", "shift_y")
+    similarity: ClassVar[tuple[str, ...]] = ("scale", *rigid)
 
     @property
     def domain(self) -> Domain:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -71,9 +94,15 @@ class Posed(AbstractSurface):
         return self.surface.regular
 
     def position(self, u: Array, v: Array) -> Array:
-        turned = self.surface.position(u, v) @ jnp.asarray(self.rotation).T
-        shift = jnp.stack([jnp.asarray(self.shift_x), jnp.asarray(self.shift_y), jnp.zeros(())])
+        shift = jnp.stack([jnp.asarray(x) for x in (self.shift_x, self.shift_y, self.shift_z)])
+        turned = self.surface.position(u, v) @ self.turned.T
         return jnp.asarray(self.unit * (self.scale * turned + shift) + self.origin)
+
+    @property
+    def turned(self) -> Float[Array, "3 3"]:
+        """R T."""
+        turn = jnp.stack([jnp.asarray(x) for x in (self.turn_x, self.turn_y, self.turn_z)])
+        return jnp.asarray(self.rotation) @ rotation(turn)
 
     def __getattr__(self, name: str) -> Any:
         # Only asked for what Posed itself does not have: the component's parameters.
@@ -84,10 +113,10 @@ class Posed(AbstractSurface):
     @property
     def placement(self) -> tuple[np.ndarray, np.ndarray, float]:
         """R, t and s of X_target = s R X_component + t."""
-        shift = np.array([float(self.shift_x), float(self.shift_y), 0.0])
+        shift = np.array([float(self.shift_x), float(self.shift_y), float(self.shift_z)])
         unit = float(self.unit)
         return (
-            np.asarray(self.rotation),
+            np.asarray(self.turned),
             np.asarray(self.origin) + unit * shift,
             unit * float(self.scale),
         )

@@ -13,7 +13,7 @@ import jax
 import numpy as np
 
 from petalfit.colours import AbstractPattern, from_hex
-from petalfit.components import AbstractAssembly, PeonyPetal, Posed, parameters
+from petalfit.components import AbstractAssembly, BladePetal, PeonyPetal, Posed, parameters
 from petalfit.fitting.assembly import fit_assembly
 from petalfit.fitting.cloud import fit_cloud
 from petalfit.fitting.colours import ColourFit, colours_on, fit_colours
@@ -21,6 +21,7 @@ from petalfit.fitting.estimate import FitError
 from petalfit.fitting.joint import fit_joint
 from petalfit.fitting.result import FitResult
 from petalfit.fitting.rounds import Settled
+from petalfit.fitting.sheet import fit_sheet
 from petalfit.fitting.summary import summarise
 from petalfit.fitting.targets import as_targets
 from petalfit.observations import (
@@ -83,7 +84,9 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
             file; of a silhouette a `Silhouette`, an (H, W) mask, or the path of an image; or a list of
             these, which are fitted jointly, each in units of its own noise. Of a pattern a `Texture`, an
             array or the path of an image that makes one, or a cloud with colours.
-        pose: "known": clouds are in the model's frame and unit, and cameras stand in it.
+        pose: "known": clouds are in the model's frame and unit, and cameras stand in it. "rigid": a
+            cloud lies somewhere, in the model's unit. "similarity": its unit is unknown too; the model
+            keeps its length, and the result's pose has the scale.
         camera: What took the masks that are no `Silhouette` with a camera of their own. A single mask
             may have none: it is then an orthographic front view of unknown scale and position, the
             lengths are relative, and the result's pose maps the model to pixels.
@@ -125,10 +128,12 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
             raise FitError(result.message, result)
         return result
     targets = as_targets(target, camera)
+    _check_pose(template, pose, targets, init)
     fitted = run(
         template,
         names,
         targets,
+        pose=pose,
         noise=noise,
         from_template=init is not None,
         seed=seed,
@@ -180,6 +185,7 @@ def run(
     names: tuple[str, ...],
     targets: list[PointCloud | Silhouette],
     *,
+    pose: str = "known",
     noise: float | None,
     from_template: bool,
     seed: int,
@@ -193,6 +199,7 @@ def run(
         template: A component; values to start from if `from_template`.
         names: Its free parameters.
         targets: All that was seen.
+        pose: "known", "rigid" or "similarity".
         noise: Of the clouds; estimated if None.
         from_template: Start at the template instead of searching.
         seed: Of random choices.
@@ -203,7 +210,8 @@ def run(
     clouds = [part for part in targets if isinstance(part, PointCloud)]
     views = [part for part in targets if isinstance(part, Silhouette)]
     for cloud in clouds:
-        _check_frame(cloud, template)
+        if pose != "similarity":
+            _check_frame(cloud, template, pose)
     options: Any = {
         "noise": noise,
         "from_template": from_template,
@@ -215,6 +223,11 @@ def run(
             (cloud,) = clouds
             weights = np.ones(len(cloud)) if cloud.weights is None else cloud.weights
             _check_count(weights, names)
+            if isinstance(template, BladePetal):
+                posed, names, ends = fit_sheet(
+                    template, names, cloud.points, weights, pose=pose, **options
+                )
+                return Fitted(posed, names, targets, ends)
             if isinstance(template, AbstractAssembly):
                 ends = fit_assembly(template, names, cloud.points, weights, **options)
             else:
@@ -228,7 +241,7 @@ def run(
         contours = [Contour.of(view) for view in views]
         if any(view.camera is None for view in views):
             template = _without_camera(template, targets, contours, placed or {})
-            names = (*names, *Posed.names)
+            names = (*names, *Posed.in_image)
         for contour in contours:
             _check_view(contour, template)
         ends = fit_joint(template, names, clouds, contours, **options, glance_only=glance_only)
@@ -302,12 +315,32 @@ def _configuration(
 
 
 def _check_options(pose: str, loss: str, noise: float | None) -> None:
-    if pose != "known":
-        raise ValueError(f"pose must be 'known'; received {pose!r}")
+    if pose not in ("known", "rigid", "similarity"):
+        raise ValueError(f"pose must be 'known', 'rigid' or 'similarity'; received {pose!r}")
     if loss != "linear":
         raise ValueError(f"loss must be 'linear'; received {loss!r}")
     if noise is not None and not (math.isfinite(noise) and noise > 0):
         raise ValueError(f"noise must be a positive length or None; received {noise}")
+
+
+def _check_pose(
+    template: AbstractSurface,
+    pose: str,
+    targets: list[PointCloud | Silhouette],
+    init: Fittable | None,
+) -> None:
+    """What a pose can be found for."""
+    if pose == "known":
+        return
+    kind = type(template).__name__
+    if not isinstance(template, BladePetal):
+        raise TargetError(
+            f"pose={pose!r} is there for BladePetal; bring a {kind} into its own frame."
+        )
+    if len(targets) > 1 or not isinstance(targets[0], PointCloud):
+        raise TargetError(f"pose={pose!r} is there for one cloud; give the others' pose.")
+    if init is not None:
+        raise TargetError(f"init has no pose to start from; leave it out with pose={pose!r}.")
 
 
 def _check_count(weights: np.ndarray, names: tuple[str, ...]) -> None:
@@ -319,12 +352,12 @@ def _check_count(weights: np.ndarray, names: tuple[str, ...]) -> None:
         )
 
 
-def _check_frame(cloud: PointCloud, template: AbstractSurface) -> None:
+def _check_frame(cloud: PointCloud, template: AbstractSurface, pose: str) -> None:
     """A unit in which the model's ranges can reach the points."""
     lengths = [p.bounds for p in parameters(template).values() if p.unit == "length"]
     largest = max(high for _, high in lengths)
     smallest = min(low for low, _ in lengths if low > 0)
-    reach = float(np.abs(cloud.points).max())
+    reach = float(np.abs(cloud.points).max()) if pose == "known" else cloud.diagonal
     kind = type(template).__name__
     if reach > 10 * largest:
         raise TargetError(

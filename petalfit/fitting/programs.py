@@ -35,6 +35,13 @@ def _distances(
 distances = Program(_distances)
 
 
+def _places(surface: AbstractSurface, uv: Float[Array, "n 2"]) -> Float[Array, "n 3"]:
+    return surface.position(uv[:, 0], uv[:, 1])
+
+
+places = Program(_places)
+
+
 def _contour_slopes(
     coordinates: Coordinates, t: Float[Array, " p"], term: ContourDistance
 ) -> Float[Array, "n p"]:

@@ -101,11 +101,14 @@ class FitResult(Estimate):
         pose: From the model's frame to the target's.
         agreements: Every target beside the fitted surface, in the order in which they were given.
         profiles: Profile likelihoods by parameter, as far as they were asked for (`with_profile`).
+        pose_stderr: Standard errors of a fitted pose: turn_x, turn_y and turn_z about the model's axes
+            in rad, shift_x, shift_y and shift_z in the target's unit, and scale. Empty if it was known.
     """
 
     model: AbstractSurface
     pose: Pose
     agreements: tuple[Agreement, ...]
+    pose_stderr: dict[str, float] = dataclasses.field(default_factory=dict)
     profiles: dict[str, Profile] = dataclasses.field(default_factory=dict)
 
     @property
@@ -140,8 +143,9 @@ class FitResult(Estimate):
                 "shift_x": (0.0, float(columns)),
                 "shift_y": (0.0, float(rows)),
             }
-            for name, parameter in parameters(Posed).items():
-                found[name] = dataclasses.replace(parameter, unit="px", typical=typical[name])
+            own = parameters(Posed)
+            for name in Posed.in_image:
+                found[name] = dataclasses.replace(own[name], unit="px", typical=typical[name])
         return found
 
     def with_profile(

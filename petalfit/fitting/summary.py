@@ -44,6 +44,9 @@ def summarise(
     """
     best = ends[0]
     declared = parameters(template)
+    if isinstance(template, Posed):
+        held = set(Posed.similarity) - set(names)
+        declared = {name: p for name, p in declared.items() if name not in held}
     agreements = [
         Agreement(target, part.distance, np.asarray(part.weights, float), part.noise)
         for target, part in zip(targets, best.seen, strict=True)
@@ -61,7 +64,9 @@ def summarise(
         matrix, found = np.full((len(names), len(names)), np.inf), np.zeros(len(names), bool)
     identifiable = dict(zip(names, map(bool, found), strict=True))
     bounds = at_bounds(values, names, declared)
-    strained = any(identifiable[name] for name in bounds)
+    # In a pose of its own a model need not be bent to reach its target.
+    in_space = isinstance(source, Posed) and isinstance(targets[0], PointCloud)
+    strained = not in_space and any(identifiable[name] for name in bounds)
     misfits = [_misfit(part, strained, noise) for part in agreements]
     settled = finite and bool(best.moved <= _SETTLED)
     if not finite:
@@ -88,7 +93,18 @@ def summarise(
           for w in _about(part, seen.uv, bare(best.model), noise)),
     ]  # fmt: skip
     pose = Pose.identity()
-    if isinstance(source, Posed):
+    pose_stderr = {}
+    if isinstance(source, Posed) and isinstance(targets[0], PointCloud):
+        pose = Pose(*source.placement)
+        errors = dict(zip(names, map(float, np.sqrt(np.diag(matrix))), strict=True))
+        pose_stderr = {
+            n: errors[n] * _pose_unit(n, source) for n in Posed.similarity if n in errors
+        }
+        own = [k for k, name in enumerate(names) if name not in Posed.similarity]
+        names, matrix = tuple(names[k] for k in own), matrix[np.ix_(own, own)]
+        values = {name: x for name, x in values.items() if name not in Posed.similarity}
+        identifiable = {name: identifiable[name] for name in names}
+    elif isinstance(source, Posed):
         pose = Pose(*source.placement)
         warnings.append(
             "without a camera lengths are relative: one unit of the model is "
@@ -102,6 +118,7 @@ def summarise(
     return FitResult(
         model=model,
         pose=pose,
+        pose_stderr=pose_stderr,
         values=values,
         stderr=stderr,
         identifiable=identifiable,
@@ -115,6 +132,13 @@ def summarise(
         steps=best.rounds,
         starts=starts,
     )
+
+
+def _pose_unit(name: str, posed: Posed) -> float:
+    """What the pose's own unit of a parameter is in the result's."""
+    if name == "scale":
+        return float(posed.unit)
+    return float(posed.unit) if name.startswith("shift") else 1.0
 
 
 def _symmetries(model: AbstractSurface) -> list[str]:
@@ -150,7 +174,7 @@ def _in_pixels(
     """Scale in pixels a unit, and where the model's origin is seen, instead of Posed's own units."""
     _, translation, scale = posed.placement
     unit = float(posed.unit)
-    factors = np.array([unit if name in Posed.names else 1.0 for name in names])
+    factors = np.array([unit if name in Posed.in_image else 1.0 for name in names])
     pixels = {"scale": scale, "shift_x": translation[0], "shift_y": translation[1]}
     return values | pixels, matrix * np.outer(factors, factors)
 

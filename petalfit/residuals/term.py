@@ -6,7 +6,7 @@ import abc
 from typing import NamedTuple
 
 import equinox as eqx
-import numpy as np
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from petalfit.surfaces import AbstractSurface
@@ -58,4 +58,4 @@ class AbstractTerm(eqx.Module):
 
     def with_noise(self, sigma: float) -> AbstractTerm:
         """The same with another noise."""
-        return eqx.tree_at(lambda term: term.sigma, self, np.asarray(sigma, np.float64))
+        return eqx.tree_at(lambda term: term.sigma, self, jnp.asarray(sigma, float))

@@ -61,6 +61,20 @@ class Pose(eqx.Module):
         return matrix
 
 
+def rotation(turn: Float[Array, "3"]) -> Float[Array, "3 3"]:
+    """The rotation about a vector by its length in rad, with finite derivatives at zero."""
+    squared = jnp.sum(turn**2)
+    small = squared < 1e-8
+    angle = jnp.sqrt(jnp.where(small, 1.0, squared))
+    # sin(a)/a and (1 - cos a)/a².
+    first = jnp.where(small, 1 - squared / 6, jnp.sin(angle) / angle)
+    second = jnp.where(small, 0.5 - squared / 24, (1 - jnp.cos(angle)) / angle**2)
+    x, y, z = jnp.unstack(turn)
+    zero = jnp.zeros(())
+    skew = jnp.stack([jnp.stack([zero, -z, y]), jnp.stack([z, zero, -x]), jnp.stack([-y, x, zero])])
+    return jnp.eye(3) + first * skew + second * skew @ skew
+
+
 def about_x(angle: Scalar) -> Float[Array, "3 3"]:
     """The rotation about x, from y towards z; `angle` in rad, a scalar."""
     cosine, sine, one = jnp.cos(angle), jnp.sin(angle), jnp.ones(())

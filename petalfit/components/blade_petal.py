@@ -1,0 +1,224 @@
+"""A petal or leaf as a botanist describes it: outline, bend, cup, twist and relief (Eq. 7)."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from petalfit.surfaces import (
+    AbstractDeformedSurface,
+    AbstractSurface,
+    Domain,
+    Rectangle,
+    Scalar,
+    length,
+    parameter,
+)
+
+# Gauss-Legendre nodes and weights on [0, 1], for the integrals along the midrib and across it.
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(7)
+_NODES, _WEIGHTS = 0.5 * (_NODES + 1), 0.5 * _WEIGHTS
+_SOFT = 0.01  # keeps the slope of an outline finite where it goes like a root
+_KEEL = 0.12  # half width of the keel, in half widths of the blade
+_GROOVE = 0.08  # the same of the midrib's relief
+
+
+def _number(
+    default: float,
+    symbol: str,
+    bounds: tuple[float, float],
+    typical: tuple[float, float],
+    meaning: str,
+    fixed: bool = False,
+) -> Any:
+    return parameter(
+        default,
+        symbol=symbol,
+        unit="1",
+        bounds=bounds,
+        typical=typical,
+        meaning=meaning,
+        fixed=fixed,
+    )
+
+
+def _angle(symbol: str, reach: float, typical: float, meaning: str) -> Any:
+    return parameter(
+        0.0,
+        symbol=symbol,
+        unit="rad",
+        bounds=(-reach, reach),
+        typical=(-typical, typical),
+        meaning=meaning,
+    )
+
+
+def _relief(symbol: str, meaning: str) -> Any:
+    return length(0.0, symbol, (-5.0, 5.0), (-1.0, 1.0), meaning, fixed=True)
+
+
+# Made before a field takes its name.
+_length = length(10.0, "L", (0.01, 1000.0), (3.0, 40.0), "along the midrib")
+
+
+class BladePetal(AbstractDeformedSurface):
+    r"""Eq. 7 with deformations that a botanist would name: a lamina that is bent, cupped and twisted.
+
+    With u ∈ [−½, ½] across, t = 2u, and v ∈ [0, 1] from base to tip:
+
+    1. The outline lies in the plane: q = length · width · w(v)(u + skew u²) across and s = length ·
+       (v − tip_edge v²t² + base_edge (1 − v)²t²) along. w rises from `base_width` to 1 at v = `widest`
+       and falls to `tip_width`, on each side like e + (1 − e)(1 − ξ²)^taper with ξ the distance from
+       the widest place; a taper of ½ is an ellipse's, 1 a parabola's, 2 and more a claw's or a
+       drawn-out tip's.
+    2. The midrib bends without stretching: at x = s/length its angle to the base is bend x + 2 bend_shift
+       x(x − 1) + tip_roll x⁸ out of the plane and sickle x within it, and the blade turns about it by
+       twist x. Bends beyond a right angle are no trouble.
+    3. Sections across it curve without stretching: at σ = 2q/(length · width) the angle is κ(x)σ +
+       margin_curl σ³ + keel tanh(σ/0.12), κ going through `cup_base`, `cup_mid` and `cup_tip`.
+    4. With `relief`, heights along the unit normal of the bent blade: midrib, ribs as in Eq. 8, and a
+       ruffle of the margin, ruffle t²v cos(2π(ruffle_frequency v + ruffle_phase)).
+
+    Angles are the ones between the ends of what they bend: bend is how far the tip points away from where
+    the base does, cup how far a margin does from the midrib.
+
+    Attributes:
+        relief: Whether midrib, ribs and ruffle are there; without, fits are faster.
+    """
+
+    length: Scalar = _length
+    width: Scalar = _number(0.6, "w", (0.02, 3.0), (0.15, 1.2), "where it is widest, in lengths")
+    widest: Scalar = _number(
+        0.5, "m", (0.08, 0.92), (0.25, 0.75), "where that is, from base to tip"
+    )
+    base_width: Scalar = _number(0.2, "e_b", (0.0, 1.0), (0.0, 0.6), "of the base, in widths")
+    tip_width: Scalar = _number(0.1, "e_t", (0.0, 1.0), (0.0, 0.6), "of the tip, in widths")
+    base_taper: Scalar = _number(0.8, "a_b", (0.15, 5.0), (0.4, 2.0), "½ round, 1 straight, 2 claw")
+    tip_taper: Scalar = _number(
+        0.8, "a_t", (0.15, 5.0), (0.4, 2.0), "½ round, 1 straight, 2 drawn out"
+    )
+    tip_edge: Scalar = _number(0.0, "τ_t", (-1.0, 1.0), (-0.2, 0.2), "rounded tip; < 0 notched")
+    base_edge: Scalar = _number(
+        0.0, "τ_b", (-1.0, 1.0), (-0.2, 0.2), "rounded base; < 0 heart-shaped"
+    )
+    skew: Scalar = _number(0.0, "k", (-0.9, 0.9), (-0.3, 0.3), "how much wider one side is")
+    bend: Scalar = _angle("β", 6.3, 1.5, "of the midrib, towards the upper side")
+    bend_shift: Scalar = _angle("β'", 6.3, 0.8, "more of it near the base, or (< 0) the tip")
+    tip_roll: Scalar = _angle("β_t", 6.3, 0.5, "of the last part of the tip")
+    sickle: Scalar = _angle("γ", 3.0, 0.3, "of the midrib, sideways")
+    twist: Scalar = _angle("ω", 4.0, 0.4, "of the blade about its midrib")
+    cup_base: Scalar = _angle("κ_b", 4.0, 1.0, "of the sections at the base")
+    cup_mid: Scalar = _angle("κ_m", 4.0, 1.0, "half way")
+    cup_tip: Scalar = _angle("κ_t", 4.0, 1.0, "at the tip")
+    margin_curl: Scalar = _angle("μ", 4.0, 0.5, "of the margins alone")
+    keel: Scalar = _angle("χ", 2.0, 0.3, "fold along the midrib")
+    midrib: Scalar = _relief("h", "height of the midrib")
+    rib_amplitude: Scalar = _relief("A", "height of the ribs")
+    rib_frequency: Scalar = _number(12.0, "f", (1.0, 64.0), (4.0, 40.0), "half waves of ribs", True)
+    ruffle: Scalar = _relief("r", "height of the margin's waves")
+    ruffle_frequency: Scalar = _number(3.0, "f_r", (0.3, 20.0), (1.0, 8.0), "waves of it", True)
+    ruffle_phase: Scalar = _number(
+        0.0, "φ_r", (-1.0, 1.0), (-0.5, 0.5), "their phase, in waves", True
+    )
+    relief: bool = eqx.field(default=False, static=True)
+    domain: ClassVar[Domain] = Rectangle.domain
+    regular: ClassVar[bool] = True
+
+    @property
+    def base(self) -> AbstractSurface:
+        return _Bent(self)
+
+    def height(self, u: Array, v: Array, point: Array) -> Array:
+        t = 2 * u
+        midrib = self.midrib * (1 - v) ** 2 * jnp.exp(-((t / _GROOVE) ** 2))
+        envelope = (1 - 2 * jnp.abs(v - 0.5)) * (1 - 2 * jnp.abs(u))
+        ribs = self.rib_amplitude * envelope * jnp.sin(self.rib_frequency * (u + 0.5) * jnp.pi)
+        waves = jnp.cos(2 * jnp.pi * (self.ruffle_frequency * v + self.ruffle_phase))
+        return jnp.asarray(midrib + ribs + self.ruffle * t**2 * v * waves)
+
+    def position(self, u: Array, v: Array) -> Array:
+        if self.relief:
+            return super().position(u, v)
+        return bent(self, u, v)
+
+    def turned_over(self) -> BladePetal:
+        """The same blade by other numbers, its upper side down: turn it by π about y to have it back."""
+        other = ("skew", "bend", "bend_shift", "tip_roll", "sickle", "cup_base", "cup_mid", "cup_tip",
+                 "margin_curl", "keel", "midrib", "rib_amplitude", "ruffle")  # fmt: skip
+        return eqx.tree_at(
+            lambda petal: [getattr(petal, name) for name in other],
+            self,
+            [-getattr(self, name) for name in other],
+        )
+
+
+class _Bent(AbstractSurface):
+    """The blade before its relief."""
+
+    blade: BladePetal
+    domain: ClassVar[Domain] = Rectangle.domain
+    regular: ClassVar[bool] = True
+
+    def position(self, u: Array, v: Array) -> Array:
+        return bent(self.blade, u, v)
+
+
+def flat(blade: BladePetal, u: Array, v: Array) -> tuple[Array, Array]:
+    """The outline's q across and s along, before anything bends."""
+    t = 2 * u
+    below = v < blade.widest
+    reach = jnp.where(below, blade.widest, 1 - blade.widest)
+    end = jnp.where(below, blade.base_width, blade.tip_width)
+    taper = jnp.where(below, blade.base_taper, blade.tip_taper)
+    inside = jnp.maximum(1 - ((v - blade.widest) / reach) ** 2, 0.0)
+    width = end + (1 - end) * ((inside + _SOFT) / (1 + _SOFT)) ** taper
+    q = blade.length * blade.width * width * (u + blade.skew * u**2)
+    s = blade.length * (v - blade.tip_edge * v**2 * t**2 + blade.base_edge * (1 - v) ** 2 * t**2)
+    return jnp.asarray(q), jnp.asarray(s)
+
+
+def bent(blade: BladePetal, u: Array, v: Array) -> Array:
+    """Steps 1 to 3 of `BladePetal`."""
+    return bend(blade, *flat(blade, u, v))
+
+
+def bend(blade: BladePetal, q: Array, s: Array) -> Array:
+    """Where the place (q, s) of the flat blade goes: steps 2 and 3 of `BladePetal`."""
+    x, sigma = s / blade.length, 2 * q / (blade.length * blade.width)
+    nodes, weights = jnp.asarray(_NODES, x.dtype), jnp.asarray(_WEIGHTS, x.dtype)
+
+    def angles(x: Array) -> tuple[Array, Array]:
+        out = blade.bend * x + 2 * blade.bend_shift * x * (x - 1) + blade.tip_roll * x**8
+        return jnp.asarray(out), jnp.asarray(blade.sickle * x)
+
+    phi, psi = angles(x[..., None] * nodes)
+    along = jnp.stack(
+        [jnp.sin(psi), jnp.cos(psi) * jnp.cos(phi), jnp.cos(psi) * jnp.sin(phi)], axis=-1
+    )
+    midrib = s[..., None] * jnp.sum(weights[:, None] * along, axis=-2)
+    phi, psi = angles(x)
+    zero = jnp.zeros_like(x)
+    lateral = jnp.stack(
+        [jnp.cos(psi), -jnp.sin(psi) * jnp.cos(phi), -jnp.sin(psi) * jnp.sin(phi)], axis=-1
+    )
+    normal = jnp.stack([zero, -jnp.sin(phi), jnp.cos(phi)], axis=-1)
+    turn = (blade.twist * x)[..., None]
+    lateral, normal = (
+        lateral * jnp.cos(turn) + normal * jnp.sin(turn),
+        normal * jnp.cos(turn) - lateral * jnp.sin(turn),
+    )
+    cup = (
+        blade.cup_base * (1 - x) * (1 - 2 * x)
+        + 4 * blade.cup_mid * x * (1 - x)
+        + blade.cup_tip * x * (2 * x - 1)
+    )
+    across = sigma[..., None] * nodes
+    angle = cup[..., None] * across + blade.margin_curl * across**3
+    angle = angle + blade.keel * jnp.tanh(across / _KEEL)
+    out = q * jnp.sum(weights * jnp.cos(angle), axis=-1)
+    up = q * jnp.sum(weights * jnp.sin(angle), axis=-1)
+    return midrib + out[..., None] * lateral + up[..., None] * normal

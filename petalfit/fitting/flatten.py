@@ -1,0 +1,67 @@
+"""A sheet laid flat: distances along it become distances in the plane, however it is bent and posed."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+from scipy.sparse import coo_array, csr_array
+from scipy.sparse.csgraph import connected_components, dijkstra
+from scipy.spatial import KDTree
+
+_NEIGHBOURS = 10
+_LANDMARKS = 150
+_TEAR = 1.5  # how much farther apart the two sides of a tear may be than where they are nearest
+
+
+def flatten(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2"]:
+    """Landmark Isomap (de Silva and Tenenbaum, 2002): the plane's distances are the sheet's own.
+
+    Shortest paths through a graph of neighbours stand for distances along the sheet, and classical
+    scaling of those between landmarks gives the plane.
+
+    Args:
+        points: Of one sheet, at least 12.
+
+    Returns:
+        Centred places; the first axis is the longer one.
+    """
+    graph = _neighbours(points)
+    landmarks = _spread(points, min(_LANDMARKS, len(points)))
+    squares = dijkstra(graph, directed=False, indices=landmarks) ** 2
+    among = squares[:, landmarks]
+    centring = np.eye(len(landmarks)) - 1 / len(landmarks)
+    eigenvalues, vectors = np.linalg.eigh(-0.5 * centring @ among @ centring)
+    axes = vectors[:, [-1, -2]] / np.sqrt(np.maximum(eigenvalues[[-1, -2]], 1e-300))
+    plane = -0.5 * (squares - among.mean(axis=1, keepdims=True)).T @ axes
+    plane = plane - plane.mean(axis=0)
+    _, turned = np.linalg.eigh(plane.T @ plane)
+    return plane @ turned[:, ::-1]
+
+
+def _neighbours(points: Float[np.ndarray, "n 3"]) -> csr_array:
+    """Edges to the nearest points, and the shortest ones that join what these leave apart."""
+    n = len(points)
+    gaps, others = map(np.asarray, KDTree(points).query(points, min(_NEIGHBOURS, n - 1) + 1))
+    rows = np.repeat(np.arange(n), gaps.shape[1] - 1)
+    graph = csr_array(coo_array((gaps[:, 1:].ravel(), (rows, others[:, 1:].ravel())), (n, n)))
+    while True:
+        pieces, label = connected_components(graph, directed=False)
+        if pieces == 1:
+            return graph
+        small = np.argmin(np.bincount(label))
+        inside, outside = np.flatnonzero(label == small), np.flatnonzero(label != small)
+        gap, nearest = map(np.asarray, KDTree(points[outside]).query(points[inside]))
+        # All along the tear: paths over a single bridge would be detours.
+        k = np.flatnonzero(gap <= _TEAR * gap.min())
+        bridge = coo_array((gap[k], (inside[k], outside[nearest[k]])), (n, n))
+        graph = csr_array(graph + bridge)
+
+
+def _spread(points: Float[np.ndarray, "n 3"], count: int) -> list[int]:
+    """Farthest points of farthest points, from the one farthest from the middle."""
+    chosen = [int(np.argmax(np.linalg.norm(points - points.mean(axis=0), axis=1)))]
+    gaps = np.linalg.norm(points - points[chosen[0]], axis=1)
+    while len(chosen) < count:
+        chosen.append(int(np.argmax(gaps)))
+        gaps = np.minimum(gaps, np.linalg.norm(points - points[chosen[-1]], axis=1))
+    return chosen

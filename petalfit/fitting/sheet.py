@@ -1,0 +1,370 @@
+"""Fits of sheets in a pose that may be unknown, from starts that are only roughly right.
+
+Each round's step is held back by a prior around where it begins, which is let go while rounds help and
+tightened when one does not: far from the surface a step that helps with foot points held may hurt.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import KDTree
+from scipy.special import log_ndtr
+
+from petalfit.components import BladePetal, Posed
+from petalfit.fitting import programs
+from petalfit.fitting.blade_start import BladeStart, blade_starts
+from petalfit.fitting.cloud import ObservedCloud, pad, with_all_points
+from petalfit.fitting.coordinates import Coordinates, with_values
+from petalfit.fitting.rounds import (
+    AbstractObserved,
+    Account,
+    Polished,
+    Progress,
+    Seen,
+    Settled,
+    finish,
+    whiten,
+)
+from petalfit.fitting.solve import Prior
+from petalfit.observations import PointCloud
+from petalfit.residuals import AbstractTerm, Emptiness, TangentDistance
+from petalfit.surfaces import AbstractSurface
+
+# Points that a start is found with, and that rough steps are taken on.
+_SOME = 1536
+_ROUGHLY = 768
+_FOLLOWED = 2
+# Left for later: what is redundant while the rest is rough.
+_LATER = ("tip_roll", "margin_curl", "keel", "tip_edge", "base_edge", "skew")
+_ROUGH, _FINE = 10, 30  # rounds
+# A start whose χ² is worse than the best's by more than this after rough rounds is not followed.
+_HOPELESS = 0.15  # of the number of points
+_NODES = (25, 33)  # of the surface, that must lie near points
+_SLACK = 1.5  # spacings of the points
+_SETTLED = 0.3  # √χ² of a round's gain
+_STUCK = 50.0
+_JITTER = 0.01
+_CELLS = 8  # per side, that points are counted in
+_FREE = 0.05  # a step held back by less than this is as long as it wants to be
+
+
+@dataclasses.dataclass(frozen=True)
+class ObservedEmptiness(AbstractObserved):
+    """Where no points are.
+
+    Attributes:
+        tree: Of the points.
+        slack: How far from a point a covered surface may be.
+    """
+
+    tree: KDTree
+    slack: float
+
+    @classmethod
+    def of(cls, points: Float[np.ndarray, "n 3"]) -> ObservedEmptiness:
+        tree = KDTree(points)
+        # Six neighbours lie in a disc of six and a half points' area.
+        sixth = np.median(tree.query(points, 7)[0][:, 6])
+        return cls(tree, _SLACK * float(sixth * np.sqrt(np.pi / 6.5)))
+
+    def look(self, model: AbstractSurface, term: AbstractTerm | None) -> Emptiness:
+        return self.around(model)[0]
+
+    def around(self, model: AbstractSurface) -> tuple[Emptiness, Float[np.ndarray, "n_u n_v"]]:
+        """The term there, and the area around each of its places."""
+        u, v = (np.linspace(*side, n) for side, n in zip(model.domain, _NODES, strict=True))
+        uv = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
+        places = np.asarray(programs.places(model, uv))
+        grid = places.reshape(*_NODES, 3)
+        sides = np.gradient(grid, axis=0), np.gradient(grid, axis=1)
+        area = np.linalg.norm(np.cross(*sides), axis=-1)
+        _, nearest = self.tree.query(places)
+        term = Emptiness(
+            uv=jnp.asarray(uv),
+            nearest=jnp.asarray(self.tree.data[nearest]),
+            weights=jnp.asarray(self.tree.n * area.ravel() / area.sum()),
+            slack=jnp.asarray(self.slack),
+            sigma=jnp.asarray(self.slack),
+        )
+        return term, area
+
+    def excess(self, model: AbstractSurface, term: Emptiness) -> float:
+        """Weighted sum of the squares by which places are farther from their points than they may."""
+        places = np.asarray(programs.places(model, term.uv))
+        far = np.linalg.norm(places - np.asarray(term.nearest), axis=1) - self.slack
+        return float(np.sum(np.asarray(term.weights) * np.maximum(far, 0.0) ** 2))
+
+    def misfit(self, model: AbstractSurface) -> float:
+        return 0.0
+
+    def information(
+        self, coordinates: Coordinates, t: np.ndarray, term: AbstractTerm
+    ) -> tuple[np.ndarray, float]:
+        return np.zeros((len(t), len(t))), float(term.sigma)
+
+    def account(self, coordinates: Coordinates, t: np.ndarray, term: AbstractTerm) -> Account:
+        nothing = np.zeros((len(t), len(t)))
+        return Account(term, nothing, np.zeros(len(t)), nothing)
+
+    def seen(self, coordinates: Coordinates, t: np.ndarray, term: AbstractTerm) -> list[Seen]:
+        return []
+
+
+class _Place(NamedTuple):
+    """Where a descent stands.
+
+    Attributes:
+        t: Coordinates.
+        cloud, emptiness: Terms with foot points there.
+        information: Of the cloud, at the noise `sigma`.
+        sigma: Root mean square of the normal distances.
+        cost: Negative logarithm of the likelihood, but for a constant.
+    """
+
+    t: Float[np.ndarray, " p"]
+    cloud: TangentDistance
+    emptiness: Emptiness
+    information: Float[np.ndarray, "p p"]
+    sigma: float
+    cost: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Sheet:
+    """A cloud of a sheet, and the steps that bring a surface to it."""
+
+    cloud: ObservedCloud
+    emptiness: ObservedEmptiness
+    count: int
+
+    @classmethod
+    def of(cls, points: np.ndarray, weights: np.ndarray, noise: float | None) -> Sheet:
+        cloud = ObservedCloud(pad(points, weights, noise))
+        return cls(cloud, ObservedEmptiness.of(points), len(points))
+
+    def place(
+        self, coordinates: Coordinates, t: Float[np.ndarray, " p"], term: AbstractTerm | None
+    ) -> _Place:
+        """What is wrong with the surface there, as `solve` counts it."""
+        model = coordinates.model(t)
+        cloud = self.cloud.look(model, term)
+        survey = programs.survey(coordinates, cloud.data, t, cloud.uv)
+        emptiness, area = self.emptiness.around(model)
+        weights = np.asarray(cloud.data.weights)
+        total = float(np.sum(weights))
+        square = float(np.sum(weights * np.asarray(survey.distance) ** 2)) / total
+        wrong = square + self.emptiness.excess(model, emptiness) / self.count
+        sigma = max(float(np.sqrt(square)), 1e-12)
+        beyond = np.max(np.asarray(survey.beyond), axis=-1) / sigma
+        edge = float(np.sum(weights * -log_ndtr(-np.clip(beyond, -8.0, 1e3))))
+        cost = 0.5 * total * np.log(wrong) + edge + _spread_out(model, cloud, area)
+        cost = cost if np.isfinite(cost) else np.inf
+        return _Place(t, cloud, emptiness, np.asarray(survey.information), sigma, cost)
+
+    def descend(
+        self, coordinates: Coordinates, model: AbstractSurface, rounds: int, tolerance: float
+    ) -> tuple[_Place, int, float]:
+        """Steps from a model; how many there were, and how much the last one changed, in √χ²."""
+        here = self.place(coordinates, coordinates.inverse(model), None)
+        best, held, moved, number = here, 0.3, np.inf, 0
+        for number in range(1, rounds + 1):  # noqa: B007
+            there = self._step(coordinates, here, held)
+            gain = here.cost - there.cost
+            # Points that find nearer places on other parts of a rolled surface make costs jitter.
+            if gain > -_JITTER * self.count:
+                moved = float(np.sqrt(2 * abs(gain)))
+                free, here, held = held < _FREE, there, max(held / 5, 1e-5)
+                best = min(best, here, key=lambda place: place.cost)
+                if moved < tolerance and free:
+                    break
+            elif held < _STUCK:
+                held *= 6
+            else:
+                break
+        return best, number, moved
+
+    def _step(self, coordinates: Coordinates, here: _Place, held: float) -> _Place:
+        root = held * np.sqrt(self.count) * np.ones(len(here.t))
+        terms = (
+            here.cloud.with_noise(here.sigma),
+            dataclasses.replace(here.emptiness, sigma=jnp.asarray(here.sigma)),
+        )
+        whitening = whiten(here.information + np.diag(root**2) + np.eye(len(here.t)))
+        prior = Prior(here.t, root)
+        state = programs.solve(coordinates, terms, prior, here.t, whitening, 1, 1e-3)
+        return self.place(coordinates, np.asarray(state.t), here.cloud)
+
+
+def _spread_out(
+    model: AbstractSurface, cloud: TangentDistance, area: Float[np.ndarray, "n_u n_v"]
+) -> float:
+    """−Σ log density of points that are spread evenly within each of some cells of the surface."""
+    low, high = np.array(model.domain).T
+    fraction = (np.asarray(cloud.uv) - low) / (high - low)
+    cell = np.clip((_CELLS * fraction).astype(int), 0, _CELLS - 1)
+    counts = np.zeros((_CELLS, _CELLS))
+    np.add.at(counts, tuple(cell.T), np.asarray(cloud.data.weights))
+    nodes = [np.minimum(np.arange(n) * _CELLS // n, _CELLS - 1) for n in area.shape]
+    areas = np.zeros((_CELLS, _CELLS))
+    np.add.at(areas, (nodes[0][:, None], nodes[1][None, :]), area)
+    seen = counts > 0
+    return float(np.sum(counts[seen] * np.log(np.maximum(areas[seen], 1e-300) / counts[seen])))
+
+
+def fit_sheet(
+    template: BladePetal,
+    free: tuple[str, ...],
+    points: Float[np.ndarray, "n 3"],
+    weights: Float[np.ndarray, " n"],
+    *,
+    pose: str,
+    noise: float | None,
+    from_template: bool,
+    seed: int,
+    progress: Progress,
+) -> tuple[AbstractSurface, tuple[str, ...], list[Settled]]:
+    """Fit a blade in a known or an unknown pose.
+
+    Args:
+        template: Values of the fixed parameters; of all parameters if `from_template`.
+        free: Names of the parameters to fit.
+        points: Shape (n, 3), finite.
+        weights: Shape (n,), not all zero.
+        pose: "known", "rigid" or "similarity".
+        noise: σ, or None to estimate it.
+        from_template: Start at the template instead of searching; with a known pose only.
+        seed: Of the choice of points for the start.
+        progress: Called with a line of text when a stage begins.
+
+    Returns:
+        The template, perhaps posed; the names of all that is free; and what each start reached, the best
+        first. Call it inside `jax.enable_x64(True)`.
+    """
+    used = weights > 0
+    frame = Canonical.of(points[used], pose)
+    order = frame.order(points[used], seed)
+    own, mass = frame.into(points[used])[order], weights[used][order]
+    noise = None if noise is None else noise / frame.unit
+    if pose == "similarity":
+        free = tuple(name for name in free if name != "length")
+    pose_names = {"known": (), "rigid": Posed.rigid, "similarity": Posed.similarity}[pose]
+    names = (*free, *pose_names)
+    starts: list[tuple[str, AbstractSurface]] = [("given", template)]
+    if not from_template:
+        progress("laying it flat")
+        found = blade_starts(template, free, own[:_SOME], pose != "known")[:_FOLLOWED]
+        starts = [(start.label, _started(start, pose)) for start in found]
+    rough = Sheet.of(own[:_ROUGHLY], mass[:_ROUGHLY], noise)
+    ends = []
+    for label, model in starts:
+        progress(f"rough steps from {label}")
+        coordinates = Coordinates.of(model, names)
+        place, _, _ = rough.descend(coordinates.holding(_LATER), model, _ROUGH, 3.0)
+        ends.append((place.cost, label, coordinates.model(place.t)))
+    ends.sort(key=lambda end: end[0])
+    whole = Sheet.of(own, mass, noise)
+    settled = []
+    for cost, label, model in ends:
+        if cost - ends[0][0] < _HOPELESS * len(rough.cloud.data.points):
+            progress(f"polishing from {label}")
+            coordinates = Coordinates.of(model, names)
+            place, number, moved = whole.descend(coordinates, model, _FINE, _SETTLED)
+            settled.append(_finish(whole, coordinates, label, place, number, moved))
+    settled.sort(key=lambda end: end.chi2)
+    ends = [_in_target(end, frame, order) for end in settled]
+    cloud = PointCloud(points, weights=weights)
+    best = with_all_points(Coordinates.of(ends[0].model, names), ends[0], 0, cloud)
+    return best.model, names, [best, *ends[1:]]
+
+
+def _started(start: BladeStart, pose: str) -> AbstractSurface:
+    """A start as a surface, its pose around it unless it is known."""
+    blade = start.blade
+    if pose != "similarity":
+        blade = with_values(blade, {"length": blade.length * start.scale})
+    if pose == "known":
+        return blade
+    unit = start.scale if pose == "similarity" else 1.0
+    return Posed(blade, start.rotation, start.translation, unit)
+
+
+@dataclasses.dataclass(frozen=True)
+class Canonical:
+    """A frame of the cloud's own, so that a fit does not depend on the frame that it came in.
+
+    Attributes:
+        axes: Its axes in the target's frame, as columns.
+        centre: Its origin there.
+        unit: Its unit of length there.
+    """
+
+    axes: Float[np.ndarray, "3 3"]
+    centre: Float[np.ndarray, "3"]
+    unit: float
+
+    @classmethod
+    def of(cls, points: Float[np.ndarray, "n 3"], pose: str) -> Canonical:
+        """Of the cloud's middle, principal axes and extent; the target's own where the pose is known."""
+        if pose == "known":
+            return cls(np.eye(3), np.zeros(3), 1.0)
+        centre = points.mean(axis=0)
+        centred = points - centre
+        _, axes = np.linalg.eigh(centred.T @ centred)
+        # The heavier tail of every axis points along it; the last one makes them right-handed.
+        axes = axes * np.where(np.sum((centred @ axes) ** 3, axis=0) < 0, -1.0, 1.0)
+        axes[:, 0] *= np.sign(np.linalg.det(axes))
+        extent = float(np.sqrt(np.mean(np.sum(centred**2, axis=1))))
+        return cls(axes, centre, extent if pose == "similarity" else 1.0)
+
+    def into(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+        """Points of the target, in this frame."""
+        return (points - self.centre) @ self.axes / self.unit
+
+    def order(self, points: Float[np.ndarray, "n 3"], seed: int) -> np.ndarray:
+        """A random order that depends on where points are, and not on the order that they came in."""
+        far = np.linalg.norm(points - points.mean(axis=0), axis=1)
+        return np.argsort(far, kind="stable")[np.random.default_rng(seed).permutation(len(points))]
+
+
+def _in_target(end: Settled, frame: Canonical, order: np.ndarray) -> Settled:
+    """An end in the target's frame and unit, its points in the target's order."""
+    back = np.argsort(order)
+    (seen,) = end.seen
+    assert seen.uv is not None
+    seen = seen._replace(
+        distance=frame.unit * seen.distance[back],
+        weights=seen.weights[back],
+        noise=frame.unit * seen.noise,
+        uv=seen.uv[back],
+    )
+    model = end.model
+    if isinstance(model, Posed):
+        rotation, translation, scale = model.placement
+        blade = model.surface
+        rotation = frame.axes @ rotation
+        if isinstance(blade, BladePetal) and float(blade.cup_mid) < 0:
+            # The same blade by other numbers: the side that it is hollow on is the upper one.
+            blade = blade.turned_over()
+            rotation = rotation @ np.diag([-1.0, 1.0, -1.0])
+        place = frame.unit * frame.axes @ translation + frame.centre
+        model = Posed(programs.numbers(blade), rotation, place, frame.unit * scale)
+    return dataclasses.replace(end, model=model, seen=(seen,))
+
+
+def _finish(
+    sheet: Sheet, coordinates: Coordinates, label: str, place: _Place, rounds: int, moved: float
+) -> Settled:
+    """The end of a descent, with its information."""
+    cloud = place.cloud.with_noise(place.sigma)
+    polished = Polished(coordinates.model(place.t), (cloud,), rounds, moved)
+    end = finish(coordinates, label, [sheet.cloud], polished)
+    (seen,) = end.seen
+    assert seen.uv is not None
+    n = sheet.count
+    seen = seen._replace(distance=seen.distance[:n], weights=seen.weights[:n], uv=seen.uv[:n])
+    return dataclasses.replace(end, seen=(seen,))

@@ -1,0 +1,167 @@
+"""Blades in an unknown pose: laid flat, fitted, and the same from wherever they come."""
+
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from scipy.spatial import KDTree
+
+import petalfit as pf
+from petalfit.fitting.flatten import flatten
+from petalfit.residuals import Emptiness
+
+PETALS = Path(__file__).parents[3] / "shared" / "data" / "petals"
+TRUTH = pf.BladePetal(
+    width=0.6,
+    widest=0.5,
+    base_width=0.3,
+    tip_width=0.15,
+    tip_edge=0.05,
+    skew=0.1,
+    bend=0.9,
+    bend_shift=-0.2,
+    sickle=0.1,
+    twist=0.2,
+    cup_base=0.6,
+    cup_mid=0.7,
+    cup_tip=0.4,
+    margin_curl=0.2,
+)
+NOISE = 0.03
+
+
+def random_rotation(rng: np.random.Generator) -> np.ndarray:
+    q, _ = np.linalg.qr(rng.standard_normal((3, 3)))
+    return q * np.linalg.det(q)
+
+
+def test_a_rolled_sheet_is_laid_flat():
+    """Distances in the plane are those along the sheet, however it is rolled and turned."""
+    rng = np.random.default_rng(0)
+    flat = rng.uniform([0, 0], [4, 2], (1500, 2))
+    angle = flat[:, 0]  # four radians of a cylinder
+    rolled = np.stack([np.sin(angle), flat[:, 1], 1 - np.cos(angle)], axis=-1) @ random_rotation(
+        rng
+    )
+    plane = flatten(rolled)
+    assert np.ptp(plane[:, 0]) == pytest.approx(4.0, rel=0.08)
+    assert np.ptp(plane[:, 1]) == pytest.approx(2.0, rel=0.08)
+    some = rng.choice(1500, (400, 2))
+    own = np.linalg.norm(flat[some[:, 0]] - flat[some[:, 1]], axis=1)
+    found = np.linalg.norm(plane[some[:, 0]] - plane[some[:, 1]], axis=1)
+    assert np.corrcoef(own, found)[0, 1] > 0.99
+
+
+def test_a_torn_sheet_is_laid_flat_too():
+    rng = np.random.default_rng(1)
+    flat = rng.uniform([0, 0], [4, 2], (1200, 2))
+    flat = flat[np.abs(flat[:, 0] - 2) > 0.3]
+    plane = flatten(np.column_stack([flat, np.zeros(len(flat))]))
+    assert np.ptp(plane[:, 0]) == pytest.approx(4.0, rel=0.1)
+
+
+def test_emptiness_pulls_back_what_reaches_beyond_the_points():
+    """Its slopes are those of finite differences, and it is silent where there are points."""
+    with jax.enable_x64(True):
+        rectangle = pf.Rectangle(a_x=4.0, b_y=8.0)
+        rng = np.random.default_rng(0)
+        points = rng.uniform([-2, 0, 0], [2, 6, 0], (3000, 3))
+        uv = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 9), np.linspace(0, 1, 17)), -1).reshape(
+            -1, 2
+        )
+        places = np.asarray(rectangle(*uv.T))
+        _, nearest = KDTree(points).query(places)
+        given = {"uv": uv, "nearest": points[nearest], "weights": np.ones(len(uv))}
+        given |= {"slack": np.float64(0.3), "sigma": np.float64(0.5)}
+        term = Emptiness(**{name: jax.numpy.asarray(x) for name, x in given.items()})
+        _, frozen, _ = term.freeze(rectangle, 2)
+        residual = np.asarray(frozen.residual(rectangle))
+        assert (residual[uv[:, 1] < 0.75] == 0).all()
+        assert (residual[uv[:, 1] > 0.82] > 0).all()
+        where, covectors = frozen.slopes(rectangle)
+        longer = pf.Rectangle(a_x=4.0, b_y=8.0 + 1e-6)
+        change = (np.asarray(frozen.residual(longer)) - residual) / 1e-6
+        np.testing.assert_allclose(np.asarray(covectors)[:, 1] * where[:, 1], change, atol=1e-5)
+
+
+@pytest.fixture(scope="module")
+def posed():
+    """A cloud of a blade somewhere, and what became of it."""
+    rng = np.random.default_rng(3)
+    cloud = TRUTH.sample(2000, seed=5, noise=NOISE)
+    rotation, scale, shift = random_rotation(rng), 3.7, np.array([40.0, -20.0, 9.0])
+    points = scale * cloud.points @ rotation.T + shift
+    return (
+        points,
+        pf.Pose(rotation, shift, scale),
+        pf.fit_petal(points, model=pf.BladePetal, pose="similarity"),
+    )
+
+
+def test_a_blade_is_found_wherever_it_is(posed):
+    _, pose, result = posed
+    assert result.converged
+    assert result.noise == pytest.approx(NOISE * pose.scale, rel=0.05)
+    determined = [name for name in result.names if result.identifiable[name]]
+    assert len(determined) >= 14
+    for name in determined:
+        error = abs(result.values[name] - getattr(TRUTH, name))
+        assert error < 5 * result.stderr[name], name
+    assert result.pose.scale == pytest.approx(pose.scale, rel=0.03)
+    turn = pose.rotation.T @ np.asarray(result.pose.rotation)
+    assert np.degrees(np.arccos((np.trace(turn) - 1) / 2)) < 1.5
+    assert result.values["length"] == 10.0
+    assert "length" not in result.names
+    assert set(result.pose_stderr) == set(pf.components.Posed.similarity)
+
+
+def test_the_result_does_not_depend_on_frame_unit_and_order(posed):
+    points, _, result = posed
+    rng = np.random.default_rng(9)
+    rotation, scale, shift = random_rotation(rng), 0.02, np.array([1.0, 2.0, -3.0])
+    moved = (scale * points @ rotation.T + shift)[rng.permutation(len(points))]
+    again = pf.fit_petal(moved, model=pf.BladePetal, pose="similarity")
+    for name in result.names:
+        assert again.values[name] == pytest.approx(result.values[name], abs=1e-6, rel=1e-6)
+    composed = pf.Pose(rotation, shift, scale)
+    with jax.enable_x64(True):
+        expected = composed @ result.pose
+    np.testing.assert_allclose(again.pose.rotation, expected.rotation, atol=1e-6)
+    np.testing.assert_allclose(again.pose.translation, expected.translation, atol=1e-6)
+    assert again.pose.scale == pytest.approx(float(expected.scale), rel=1e-6)
+
+
+def test_the_result_survives_its_file_and_lies_in_the_targets_frame(posed, tmp_path):
+    points, _, result = posed
+    result.save(tmp_path / "fit.json")
+    again = pf.FitResult.load(tmp_path / "fit.json")
+    assert again.values == result.values
+    assert again.pose_stderr == result.pose_stderr
+    gaps, _ = KDTree(np.asarray(result.mesh((65, 65)).vertices)).query(points)
+    assert np.median(gaps) < 0.05 * np.ptp(points)
+
+
+@pytest.mark.skipif(not PETALS.exists(), reason="needs ../shared/data/petals")
+@pytest.mark.parametrize("name", ["lily0_tepal1", "tulip_rosaLjus_petal1"])
+def test_a_petal_that_nobody_generated(name):
+    """Both ways below 0.7 % of the diagonal; measured on dense samples."""
+    cloud = pf.PointCloud.load(PETALS / f"{name}.ply", n=2000)
+    result = pf.fit_petal(cloud, model=pf.BladePetal, pose="similarity", throw=False)
+    dense = pf.PointCloud.load(PETALS / f"{name}.ply", n=60_000, seed=1).points
+    surface = pf.PointCloud.from_mesh(result.mesh((97, 97)), n=60_000).points
+    there, _ = KDTree(surface).query(dense[:5000])
+    back, _ = KDTree(dense).query(surface[:5000])
+    assert 100 * max(there.mean(), back.mean()) / cloud.diagonal < 0.7
+
+
+def test_what_has_no_pose_is_refused():
+    cloud = TRUTH.sample(300)
+    with pytest.raises(pf.TargetError, match="is there for BladePetal"):
+        pf.fit_petal(cloud, pose="rigid")
+    with pytest.raises(ValueError, match="must be 'known', 'rigid' or 'similarity'"):
+        pf.fit_petal(cloud, pose="free")
+    with pytest.raises(pf.TargetError, match="one cloud"):
+        pf.fit_petal([cloud, cloud], model=pf.BladePetal, pose="rigid")
+    with pytest.raises(pf.TargetError, match="no pose to start from"):
+        pf.fit_petal(cloud, model=pf.BladePetal, pose="rigid", init=TRUTH)
