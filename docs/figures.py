@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.image import imread
 
 import petalfit as pf
 
@@ -63,5 +64,28 @@ def identifiability(path: Path) -> None:
     figure.savefig(path, dpi=120, transparent=True, metadata={"Software": "petalfit"})
 
 
+def blades(path: Path) -> None:
+    """Blades beside what they were fitted to; the shapes are third parties' and stay outside."""
+    from petalfit.report import write_picture
+
+    shapes = FOLDER.parents[1] / "shared" / "data"
+    targets = ["scans/oceam_soybean_11_20190508T043118_pot1_15", "petals/tulip_rosaLjus_petal1"]
+    if not shapes.exists():
+        print(f"{path.name} needs {shapes}; it is left as it is.")
+        return
+    figure = Figure(figsize=(10.1, 9.2))
+    for row, target in enumerate(targets):
+        cloud = pf.PointCloud.load(shapes / f"{target}.ply")
+        result = pf.fit_petal(cloud, model=pf.BladePetal, pose="similarity", throw=False)
+        part = path.with_name(f"part-{row}.png")
+        write_picture(result, part)
+        axes = figure.add_axes((0.0, 0.5 * (1 - row), 1.0, 0.5))
+        axes.imshow(imread(part), interpolation="antialiased")
+        axes.set_axis_off()
+        part.unlink()
+    figure.savefig(path, dpi=110, transparent=True, metadata={"Software": "petalfit"})
+
+
 if __name__ == "__main__":
     identifiability(FOLDER / "identifiability.png")
+    blades(FOLDER / "blades.png")

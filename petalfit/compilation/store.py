@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -24,6 +25,16 @@ from petalfit.observations.atomic import atomic_path
 OPTIONS = {"xla_llvm_disable_expensive_passes": True}
 
 _DIGEST = hashlib.sha256().digest_size
+# Models of classes that pickle cannot find again, and what XLA does not serialise.
+_UNSAVED = (
+    OSError,
+    ValueError,
+    NotImplementedError,
+    AttributeError,
+    TypeError,
+    pickle.PicklingError,
+    jax.errors.JaxRuntimeError,
+)
 
 
 class ExecutableStore:
@@ -52,23 +63,39 @@ class ExecutableStore:
             content = (self.folder / key).read_bytes()
             if hashlib.sha256(content[_DIGEST:]).digest() == content[:_DIGEST]:
                 _initialise()
-                return serialize_executable.deserialize_and_load(*pickle.loads(content[_DIGEST:]))
+                serialised, example = pickle.loads(content[_DIGEST:])
+                compiled = serialize_executable.deserialize_and_load(*serialised)
+                return _structured(compiled, jax.tree.structure(example))
         return None
 
     def _compile(self, key: str, function: Callable, args: tuple) -> Callable:
         leaves, structure = jax.tree.flatten(args)
+        results = []
 
-        # A function of the leaves, because the structure of a model does not survive pickling.
-        def flat(*leaves: object) -> object:
-            return function(*jax.tree.unflatten(structure, leaves))
+        # From leaves to leaves, because the structure of a model does not survive pickling; a model does.
+        def flat(*leaves: object) -> list:
+            result = function(*jax.tree.unflatten(structure, leaves))
+            results.append(jax.tree.structure(result))
+            return jax.tree.leaves(result)
 
         compiled = jax.jit(flat, compiler_options=OPTIONS).lower(*leaves).compile()
+        (result,) = results
         # What came out of jax's own cache cannot always be serialised, and need not be.
-        with suppress(OSError, ValueError, NotImplementedError, jax.errors.JaxRuntimeError):
-            content = pickle.dumps(serialize_executable.serialize(compiled))
+        with suppress(*_UNSAVED):
+            example = jax.tree.unflatten(result, range(result.num_leaves))
+            content = pickle.dumps((serialize_executable.serialize(compiled), example))
             with atomic_path(self.folder / key) as path:
                 path.write_bytes(hashlib.sha256(content).digest() + content)
-        return compiled
+        return _structured(compiled, result)
+
+
+def _structured(compiled: Callable[..., list], structure: Any) -> Callable:
+    """A program that gives leaves, with its results in their structure."""
+
+    def call(*leaves: object) -> object:
+        return jax.tree.unflatten(structure, compiled(*leaves))
+
+    return call
 
 
 _current: contextvars.ContextVar[ExecutableStore | None] = contextvars.ContextVar(
