@@ -15,6 +15,7 @@ from .components import Pedicel as Pedicel
 from .components import PeonyPetal as PeonyPetal
 from .components import Pistil as Pistil
 from .components import Sepal as Sepal
+from .components import SplinePetal as SplinePetal
 from .components import Stamen as Stamen
 from .components import Stigma as Stigma
 from .components import Style as Style

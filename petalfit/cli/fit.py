@@ -52,7 +52,7 @@ PoseOption = Annotated[
     arg(
         name="pose",
         help="Whether the target is in the model's frame and unit, somewhere in that unit, or somewhere "
-        "in any. The last two are there for --model BladePetal and one cloud.",
+        "in any. The last two are there for --model BladePetal or SplinePetal.",
     ),
 ]
 Free = Annotated[

@@ -15,6 +15,7 @@ from petalfit.components.receptacle import Bowl as Bowl
 from petalfit.components.receptacle import ConeReceptacle as ConeReceptacle
 from petalfit.components.receptacle import CylinderReceptacle as CylinderReceptacle
 from petalfit.components.sepal import Sepal as Sepal
+from petalfit.components.spline_petal import SplinePetal as SplinePetal
 from petalfit.components.stamen import Anther as Anther
 from petalfit.components.stamen import Filament as Filament
 from petalfit.components.stamen import Stamen as Stamen

@@ -13,15 +13,23 @@ import jax
 import numpy as np
 
 from petalfit.colours import AbstractPattern, from_hex
-from petalfit.components import AbstractAssembly, BladePetal, PeonyPetal, Posed, parameters
+from petalfit.components import (
+    AbstractAssembly,
+    BladePetal,
+    PeonyPetal,
+    Posed,
+    SplinePetal,
+    parameters,
+)
 from petalfit.fitting.assembly import fit_assembly
 from petalfit.fitting.cloud import fit_cloud
 from petalfit.fitting.colours import ColourFit, colours_on, fit_colours
 from petalfit.fitting.estimate import FitError
 from petalfit.fitting.joint import fit_joint
-from petalfit.fitting.result import FitResult
+from petalfit.fitting.result import Agreement, FitResult
 from petalfit.fitting.rounds import Settled
 from petalfit.fitting.sheet import fit_sheet
+from petalfit.fitting.spline import fit_spline
 from petalfit.fitting.summary import summarise
 from petalfit.fitting.targets import as_targets
 from petalfit.observations import (
@@ -39,6 +47,7 @@ from petalfit.surfaces import AbstractSurface, value_at
 Fittable: TypeAlias = AbstractSurface | AbstractPattern
 # Of a petal, in the model's unit, for a mask without a camera.
 _TYPICAL_LENGTH = 40.0
+_FEWEST_FOR_SPLINES = 200
 
 
 def fit_petal(
@@ -129,6 +138,8 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
         return result
     targets = as_targets(target, camera)
     _check_pose(template, pose, targets, init)
+    if isinstance(template, SplinePetal):
+        return _fit_spline(targets, pose, progress or (lambda text: None))
     fitted = run(
         template,
         names,
@@ -162,6 +173,41 @@ def _as_texture(
     if inspect.isclass(surface):
         surface = fit(surface, cloud, seed=seed, progress=progress)
     return colours_on(surface, cloud)
+
+
+def _fit_spline(
+    targets: list[PointCloud | Silhouette], pose: str, progress: Callable[[str], None]
+) -> FitResult:
+    """A spline sheet, whose coefficients are too many for a table of parameters."""
+    cloud = targets[0]
+    if len(targets) > 1 or not isinstance(cloud, PointCloud):
+        raise TargetError("a SplinePetal is fitted to one cloud.")
+    weights = np.ones(len(cloud)) if cloud.weights is None else np.array(cloud.weights)
+    if np.count_nonzero(weights) < _FEWEST_FOR_SPLINES:
+        raise TargetError(
+            f"{np.count_nonzero(weights)} points are too few for a SplinePetal; give "
+            f"{_FEWEST_FOR_SPLINES} or more, or fit a BladePetal."
+        )
+    with jax.enable_x64(True):
+        found = fit_spline(cloud.points, weights, pose, progress)
+    noise = float(np.sqrt(np.average(found.distance**2, weights=weights)))
+    coefficients = np.size(found.model.offsets)
+    return FitResult(
+        model=found.model,
+        pose=found.pose,
+        agreements=(Agreement(cloud, found.distance, weights, noise),),
+        values={name: float(getattr(found.model, name)) for name in parameters(found.model)},
+        stderr={},
+        identifiable={},
+        names=(),
+        covariance=np.zeros((0, 0)),
+        converged=True,
+        status="converged",
+        message=f"{coefficients} coefficients, smoothed in {found.rounds} rounds; they have no errors",
+        warnings=(),
+        steps=found.rounds,
+        starts=(),
+    )
 
 
 class Fitted(NamedTuple):
@@ -333,9 +379,10 @@ def _check_pose(
     if pose == "known":
         return
     kind = type(template).__name__
-    if not isinstance(template, BladePetal):
+    if not isinstance(template, BladePetal | SplinePetal):
         raise TargetError(
-            f"pose={pose!r} is there for BladePetal; bring a {kind} into its own frame."
+            f"pose={pose!r} is there for BladePetal and SplinePetal; bring a {kind} into "
+            "its own frame."
         )
     if len(targets) > 1 or not isinstance(targets[0], PointCloud):
         raise TargetError(f"pose={pose!r} is there for one cloud; give the others' pose.")

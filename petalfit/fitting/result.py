@@ -235,16 +235,20 @@ class FitResult(Estimate):
             "model": type(self.model).__name__,
         }
         head["options"] = {
-            field.name: getattr(self.model, field.name)
+            field.name: _encode(getattr(self.model, field.name))
             for field in dataclasses.fields(self.model)
-            if field.metadata.get("static")
+            if field.metadata.get("static") or np.ndim(getattr(self.model, field.name)) > 0
         }
         return head | {name: _encode(value) for name, value in fields.items()}
 
     @classmethod
     def _from_json(cls, content: dict[str, Any]) -> FitResult:
         fields = {name: _decode(value) for name, value in content.items()}
-        model = getattr(components, content["model"])(**fields["options"])
+        options = {
+            name: np.array(x, float) if isinstance(x, list) else x
+            for name, x in fields["options"].items()
+        }
+        model = getattr(components, content["model"])(**options)
         for name in parameters(model):
             model = with_value(model, name, float(fields["values"][name]))
         pose = fields["pose"]
@@ -257,7 +261,9 @@ class FitResult(Estimate):
                     np.array(pose["rotation"]), np.array(pose["translation"]), pose["scale"]
                 ),
                 "names": tuple(fields["names"]),
-                "covariance": np.array(fields["covariance"], float),
+                "covariance": np.array(fields["covariance"], float).reshape(
+                    2 * (len(fields["names"]),)
+                ),
                 "warnings": tuple(fields["warnings"]),
                 "starts": tuple(Start(**start) for start in fields["starts"]),
                 "profiles": {

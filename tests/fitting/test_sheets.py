@@ -165,3 +165,61 @@ def test_what_has_no_pose_is_refused():
         pf.fit_petal([cloud, cloud], model=pf.BladePetal, pose="rigid")
     with pytest.raises(pf.TargetError, match="no pose to start from"):
         pf.fit_petal(cloud, model=pf.BladePetal, pose="rigid", init=TRUTH)
+
+
+def test_a_spline_has_the_sum_of_its_basis():
+    """Against SciPy's B-splines; and a linear field of coefficients is a plane."""
+    from scipy.interpolate import BSpline
+
+    from petalfit.components.spline_petal import SEGMENTS
+
+    rng = np.random.default_rng(0)
+    offsets = rng.standard_normal((SEGMENTS[0] + 3, SEGMENTS[1] + 3, 3))
+    petal = pf.SplinePetal(a_x=3.0, b_y=5.0, offsets=offsets)
+    u, v = rng.uniform(-0.5, 0.5, 50), rng.uniform(0, 1, 50)
+    knots = [np.arange(-3, n + 4) / n for n in SEGMENTS]
+    across, along = (
+        BSpline(k, np.eye(n + 3), 3)(x)
+        for k, n, x in zip(knots, SEGMENTS, (u + 0.5, v), strict=True)
+    )
+    expected = np.einsum("nk,nm,kmd->nd", across, along, offsets)
+    expected += np.stack([3 * u, 5 * v, np.zeros(50)], axis=-1)
+    with jax.enable_x64(True):
+        np.testing.assert_allclose(petal(u, v), expected, atol=1e-12)
+
+
+def test_a_spline_follows_a_sheet_wherever_it_is(tmp_path):
+    rng = np.random.default_rng(4)
+    cloud = TRUTH.sample(2000, seed=5, noise=0.01)
+    rotation = random_rotation(rng)
+    points = 0.3 * cloud.points @ rotation.T + [5.0, 6.0, 7.0]
+    result = pf.fit_petal(points, model=pf.SplinePetal, pose="similarity")
+    assert result.rms < 0.3 * 0.03
+    assert result.values["b_y"] == pytest.approx(10.0)
+    back, _ = KDTree(np.asarray(TRUTH.mesh((129, 129)).vertices)).query(
+        (result.mesh((65, 65)).vertices - [5.0, 6.0, 7.0]) @ rotation / 0.3
+    )
+    assert back.mean() < 0.06
+    result.save(tmp_path / "fit.json")
+    again = pf.FitResult.load(tmp_path / "fit.json")
+    np.testing.assert_array_equal(again.model.offsets, result.model.offsets)
+    moved = points[rng.permutation(2000)] @ random_rotation(rng).T * 40
+    other = pf.fit_petal(moved, model=pf.SplinePetal, pose="similarity")
+    np.testing.assert_allclose(other.model.offsets, result.model.offsets, atol=1e-6)
+    assert other.values["a_x"] == pytest.approx(result.values["a_x"], rel=1e-6)
+    known = pf.fit_petal(points, model=pf.SplinePetal)
+    assert known.rms == pytest.approx(result.rms, rel=1e-3)
+    assert known.pose == pf.Pose.identity() or known.pose.scale == 1.0
+    with pytest.raises(pf.TargetError, match="too few for a SplinePetal"):
+        pf.fit_petal(points[:50], model=pf.SplinePetal)
+
+
+@pytest.mark.skipif(not PETALS.exists(), reason="needs ../shared/data/petals")
+def test_a_spline_follows_a_rolled_rose_petal():
+    cloud = pf.PointCloud.load(PETALS / "rose1_petal13.ply", n=2000)
+    result = pf.fit_petal(cloud, model=pf.SplinePetal, pose="similarity")
+    dense = pf.PointCloud.load(PETALS / "rose1_petal13.ply", n=200_000, seed=1).points
+    surface = pf.PointCloud.from_mesh(result.mesh((97, 97)), n=200_000).points
+    there, _ = KDTree(surface).query(dense[:5000])
+    back, _ = KDTree(dense).query(surface[:5000])
+    assert 100 * max(there.mean(), back.mean()) / cloud.diagonal < 0.2

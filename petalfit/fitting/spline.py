@@ -1,0 +1,293 @@
+"""A spline sheet through a scan: linear solves for its coefficients between searches for foot points."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.spatial import KDTree
+
+from petalfit.compilation import Program, bucket, pad_to
+from petalfit.components import SplinePetal
+from petalfit.components.spline_petal import SEGMENTS, basis
+from petalfit.fitting import programs
+from petalfit.fitting.flatten import flatten
+from petalfit.fitting.rounds import Progress
+from petalfit.fitting.sheet import Canonical
+from petalfit.residuals import frame
+from petalfit.residuals.contact import Frame
+from petalfit.surfaces import AbstractSurface, Pose
+
+_SHAPE = (SEGMENTS[0] + 3, SEGMENTS[1] + 3)
+_COUNT = _SHAPE[0] * _SHAPE[1]
+_ROUNDS = 14
+# The weight of bending falls from the first round to the last, as powers of ten.
+_STIFF, _LIMP = -3.3, -5.5
+_NODES = 33  # per side, where the sheet must lie near points
+_SLACK = 1.2  # spacings of the points
+_TIED = 1e-4  # how much coefficients stay where they are in directions that no distance tells
+_LENGTH = 10.0  # of a model whose unit is free
+_STRIPS = 24
+
+
+class SplineFit(NamedTuple):
+    """A sheet that follows its cloud.
+
+    Attributes:
+        model: In its own frame.
+        pose: From there to the cloud's.
+        distance: Signed normal distance of every point, in the cloud's unit.
+        rounds: How many there were.
+        moved: Root mean square move of the last one's nodes, in standard deviations of the distances.
+    """
+
+    model: SplinePetal
+    pose: Pose
+    distance: Float[np.ndarray, " n"]
+    rounds: int
+    moved: float
+
+
+def fit_spline(
+    points: Float[np.ndarray, "n 3"],
+    weights: Float[np.ndarray, " n"],
+    pose: str,
+    progress: Progress,
+) -> SplineFit:
+    """Fit a spline sheet to a cloud.
+
+    Args:
+        points: Shape (n, 3), finite.
+        weights: Shape (n,), not all zero.
+        pose: "known" leaves the model in the cloud's frame; "rigid" gives it one of its own, and
+            "similarity" a unit too, in which it is ten long.
+        progress: Called with a line of text when a stage begins.
+    """
+    used = weights > 0
+    canonical = Canonical.of(points[used], "similarity")
+    order = canonical.order(points[used], 0)
+    own, mass = canonical.into(points[used])[order], weights[used][order]
+    progress("laying it flat")
+    uv = _rectangle(flatten(own))
+    rows = _rows(uv)
+    bending = _bending()
+    start = rows.T @ (mass[:, None] * rows) + np.sum(mass) * 1e-3 * bending + 1e-9 * np.eye(_COUNT)
+    control = np.linalg.solve(start, rows.T @ (mass[:, None] * own))
+    sheet = _Points(own, mass)
+    moved = np.inf
+    for number in range(_ROUNDS):
+        progress(f"smoothing less and less, round {number + 1} of {_ROUNDS}")
+        stiffness = 10 ** np.interp(number / _ROUNDS, [0.0, 0.7], [_STIFF, _LIMP])
+        new, uv, sigma = sheet.improved(control, uv, stiffness * bending, 4 if number == 0 else 2)
+        moved = float(np.sqrt(np.mean((new - control) ** 2)) / sigma)
+        control = new
+    model, own_pose = _in_own_frame(control, canonical, pose)
+    everything = (points - np.asarray(own_pose.translation)) @ np.asarray(own_pose.rotation)
+    distance = _distances(model, everything / float(own_pose.scale)) * float(own_pose.scale)
+    return SplineFit(model, own_pose, distance, _ROUNDS, moved)
+
+
+def _distances(model: SplinePetal, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+    """Signed distances to foot points: along the normal, or to the edge beyond it."""
+    padded = pad_to(points, bucket(len(points)))
+    uv = programs.refine(model, padded, programs.nearest(model, padded), 6)
+    here = _frames(model, uv)
+    offset = padded - np.asarray(here.position)
+    side = np.sum(np.asarray(here.normal) * offset, axis=1)
+    gap = np.linalg.norm(offset, axis=1)
+    return np.where(side < 0, -gap, gap)[: len(points)]
+
+
+def _frame_at(surface: AbstractSurface, uv: Float[Array, "n 2"]) -> Frame:
+    return frame(surface, uv)
+
+
+_frames = Program(_frame_at)
+
+
+def _surface(control: Float[np.ndarray, "k 3"]) -> SplinePetal:
+    """The sheet of coefficients that are places, not offsets."""
+    zero = np.float64(0.0)
+    return SplinePetal(a_x=zero, b_y=zero, c_z=zero, offsets=control.reshape(*_SHAPE, 3))
+
+
+class _Points:
+    """The cloud, and what it wants of the coefficients."""
+
+    def __init__(self, points: Float[np.ndarray, "n 3"], weights: Float[np.ndarray, " n"]) -> None:
+        self.points, self.weights = points, weights
+        self.padded = pad_to(points, bucket(len(points)))
+        self.tree = KDTree(points)
+        sixth = np.median(np.asarray(self.tree.query(points, 7)[0])[:, 6])
+        self.slack = _SLACK * float(sixth * np.sqrt(np.pi / 6.5))
+        side = np.linspace(0, 1, _NODES)
+        nodes = np.stack(np.meshgrid(side - 0.5, side, indexing="ij"), axis=-1).reshape(-1, 2)
+        self.nodes = _rows(nodes)
+
+    def improved(
+        self,
+        control: Float[np.ndarray, "k 3"],
+        uv: Float[np.ndarray, "n 2"],
+        stiffness: Float[np.ndarray, "k k"],
+        iterations: int,
+    ) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "n 2"], float]:
+        """New coefficients, foot points on the old sheet, and the noise there."""
+        surface, n = _surface(control), len(self.points)
+        start = jnp.asarray(pad_to(uv, len(self.padded)))
+        uv = np.asarray(programs.refine(surface, self.padded, start, iterations))
+        here = _frames(surface, jnp.asarray(uv))
+        uv = uv[:n]
+        normal, position, conormals, left = (
+            np.asarray(x)[:n] for x in (here.normal, here.position, here.conormals, here.left)
+        )
+        rows, total = _rows(uv), float(np.sum(self.weights))
+        system = _System(control, total, stiffness, rows)
+        system.add(rows, normal, np.sum(normal * self.points, axis=1), self.weights)
+        beyond = np.einsum("nij,nj->ni", conormals, self.points - position) - left
+        for edge in range(2):
+            on = (left[:, edge] < 1e-9) & (beyond[:, edge] > 0)
+            along = conormals[on, edge]
+            system.add(rows[on], along, np.sum(along * self.points[on], axis=1), self.weights[on])
+        self._add_emptiness(system, control, total)
+        distance = np.sum(normal * (self.points - position), axis=1)
+        sigma = float(np.sqrt(np.average(distance**2, weights=self.weights)))
+        return system.solved(), uv, max(sigma, 1e-12)
+
+    def _add_emptiness(
+        self, system: _System, control: Float[np.ndarray, "k 3"], total: float
+    ) -> None:
+        """Nodes that lie far from all points are drawn to the nearest."""
+        places = self.nodes @ control
+        grid = places.reshape(_NODES, _NODES, 3)
+        sides = np.gradient(grid, axis=0), np.gradient(grid, axis=1)
+        area = np.linalg.norm(np.cross(*sides), axis=-1).ravel()
+        gap, nearest = map(np.asarray, self.tree.query(places))
+        far = gap > self.slack
+        there = self.points[nearest[far]]
+        away = (places[far] - there) / gap[far, None]
+        target = np.sum(away * there, axis=1) + self.slack
+        system.add(self.nodes[far], away, target, total * area[far] / area.sum())
+
+
+class _System:
+    """Normal equations of all three coordinates of all coefficients."""
+
+    def __init__(
+        self,
+        control: Float[np.ndarray, "k 3"],
+        total: float,
+        stiffness: Float[np.ndarray, "k k"],
+        rows: Float[np.ndarray, "n k"],
+    ) -> None:
+        tied = total * _TIED * (rows.mean(axis=0) + 1e-3)
+        self.matrix = np.kron(total * stiffness + np.diag(tied), np.eye(3))
+        self.right = (tied[:, None] * control).ravel()
+
+    def add(
+        self,
+        rows: Float[np.ndarray, "m k"],
+        directions: Float[np.ndarray, "m 3"],
+        target: Float[np.ndarray, " m"],
+        weights: Float[np.ndarray, " m"],
+    ) -> None:
+        """Places that should be so far along given directions."""
+        root = np.sqrt(weights)
+        slopes = (rows[:, :, None] * directions[:, None, :]).reshape(len(rows), -1) * root[:, None]
+        self.matrix += slopes.T @ slopes
+        self.right += slopes.T @ (target * root)
+
+    def solved(self) -> Float[np.ndarray, "k 3"]:
+        return np.linalg.solve(self.matrix, self.right).reshape(-1, 3)
+
+
+def _rows(uv: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n k"]:
+    """What every coefficient contributes at given places."""
+    first = (uv[:, 0] + 0.5, SEGMENTS[0]), (uv[:, 1], SEGMENTS[1])
+    (i, across), (j, along) = (map(np.asarray, basis(jnp.asarray(x), n)) for x, n in first)
+    rows = np.zeros((len(uv), *_SHAPE))
+    number = np.arange(len(uv))
+    for k in range(4):
+        for m in range(4):
+            rows[number, i + k, j + m] = across[:, k] * along[:, m]
+    return rows.reshape(len(uv), -1)
+
+
+def _bending() -> Float[np.ndarray, "k k"]:
+    """Squares of the second differences of coefficients, summed over the sheet."""
+
+    def squares(n: int, times: int) -> np.ndarray:
+        step = np.diff(np.eye(n), times, axis=0)
+        return step.T @ step
+
+    (m, n), eye = _SHAPE, np.eye
+    return (
+        np.kron(squares(m, 2), eye(n))
+        + np.kron(eye(m), squares(n, 2))
+        + 2 * np.kron(squares(m, 1), squares(n, 1))
+    )
+
+
+def _rectangle(plane: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+    """(u, v) of a sheet that lies flat: v along its longer axis, u between its margins there."""
+    q, s = plane[:, 1], plane[:, 0]
+    v = (s - s.min()) / np.ptp(s)
+    place, low, high = [], [], []
+    for middle in np.linspace(0, 1, _STRIPS):
+        strip = q[np.abs(v - middle) < 1.1 / _STRIPS]
+        if len(strip) >= 6:
+            place.append(middle)
+            low.append(strip.min())
+            high.append(strip.max())
+    left, right = (np.interp(v, place, margin) for margin in (low, high))
+    u = (q - left) / np.maximum(right - left, 1e-3 * np.ptp(s)) - 0.5
+    return np.stack([np.clip(u, -0.5, 0.5), v], axis=-1)
+
+
+def _in_own_frame(
+    control: Float[np.ndarray, "k 3"], canonical: Canonical, pose: str
+) -> tuple[SplinePetal, Pose]:
+    """Offsets from the rectangle nearest to the sheet, and where that lies."""
+    control = _base_first(control.reshape(*_SHAPE, 3))
+    # Coefficients of u and of v themselves.
+    u, v = ((np.arange(n) - 1) / segments for n, segments in zip(_SHAPE, SEGMENTS, strict=True))
+    u = u - 0.5
+    inner = control[1:-1, 1:-1]
+    across = np.tensordot(u[1:-1], inner - inner.mean(axis=0), (0, 0)).mean(axis=0)
+    along = np.tensordot(v[1:-1] - 0.5, inner - inner.mean(axis=(0, 1)), (0, 1)).mean(axis=0)
+    across, along = across / np.sum(u[1:-1] ** 2), along / np.sum((v[1:-1] - 0.5) ** 2)
+    middle = inner.mean(axis=(0, 1))
+    rotation, size, place = canonical.axes, canonical.unit, canonical.centre
+    if pose == "known":
+        control = size * control @ rotation.T + place
+        offsets = control
+        scale, turn, origin = 1.0, np.eye(3), np.zeros(3)
+        a_x = size * float(np.linalg.norm(across))
+        b_y = size * float(np.linalg.norm(along))
+    else:
+        left, _, right = np.linalg.svd(np.stack([across, along], axis=1), full_matrices=False)
+        axes = left @ right
+        own = np.column_stack([axes, np.cross(axes[:, 0], axes[:, 1])])
+        start = middle - 0.5 * along
+        scale = size if pose == "rigid" else size * float(np.linalg.norm(along)) / _LENGTH
+        unit = size / scale
+        offsets = unit * (control - start) @ own
+        a_x, b_y = unit * float(np.linalg.norm(across)), unit * float(np.linalg.norm(along))
+        turn, origin = rotation @ own, size * rotation @ start + place
+        scale = 1.0 if pose == "rigid" else scale
+    flat = np.zeros_like(offsets)
+    flat[..., 0], flat[..., 1] = a_x * u[:, None], b_y * v[None, :]
+    return SplinePetal(a_x, b_y, 0.0, offsets - flat), Pose(turn, origin, float(scale))
+
+
+def _base_first(control: Float[np.ndarray, "m n 3"]) -> Float[np.ndarray, "m n 3"]:
+    """The sheet with its narrower end at v = 0, and its hollow side up."""
+    widths = np.linalg.norm(control[-2] - control[1], axis=-1)
+    if widths[1:3].sum() > widths[-3:-1].sum():
+        control = control[:, ::-1]
+    # With the base fixed, exchanging the sides turns the normal over.
+    across, along = control[-2] - control[1], np.gradient(control, axis=1).mean(axis=0)
+    up = np.cross(across, along).mean(axis=0)
+    rise = (0.5 * (control[1] + control[-2]) - control[_SHAPE[0] // 2]).mean(axis=0)
+    return control if rise @ up >= 0 else control[::-1]
