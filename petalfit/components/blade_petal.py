@@ -125,6 +125,22 @@ class BladePetal(AbstractDeformedSurface):
         0.0, "φ_r", (-1.0, 1.0), (-0.5, 0.5), "their phase, in waves", True
     )
     relief: bool = eqx.field(default=False, static=True)
+    # What changes sign when the blade is turned over.
+    sided: ClassVar[tuple[str, ...]] = (
+        "skew",
+        "bend",
+        "bend_shift",
+        "tip_roll",
+        "sickle",
+        "cup_base",
+        "cup_mid",
+        "cup_tip",
+        "margin_curl",
+        "keel",
+        "midrib",
+        "rib_amplitude",
+        "ruffle",
+    )
     domain: ClassVar[Domain] = Rectangle.domain
     regular: ClassVar[bool] = True
 
@@ -147,12 +163,10 @@ class BladePetal(AbstractDeformedSurface):
 
     def turned_over(self) -> BladePetal:
         """The same blade by other numbers, its upper side down: turn it by π about y to have it back."""
-        other = ("skew", "bend", "bend_shift", "tip_roll", "sickle", "cup_base", "cup_mid", "cup_tip",
-                 "margin_curl", "keel", "midrib", "rib_amplitude", "ruffle")  # fmt: skip
         return eqx.tree_at(
-            lambda petal: [getattr(petal, name) for name in other],
+            lambda petal: [getattr(petal, name) for name in self.sided],
             self,
-            [-getattr(self, name) for name in other],
+            [-getattr(self, name) for name in self.sided],
         )
 
 

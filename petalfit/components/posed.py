@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from petalfit.surfaces import WRAPPED, AbstractSurface, Domain, Scalar, parameter, rotation
+from petalfit.surfaces import WRAPPED, AbstractSurface, Domain, Pose, Scalar, parameter, rotation
 
 
 def _shift(axis: str) -> Any:
@@ -111,15 +111,12 @@ class Posed(AbstractSurface):
         return getattr(object.__getattribute__(self, "surface"), name)
 
     @property
-    def placement(self) -> tuple[np.ndarray, np.ndarray, float]:
-        """R, t and s of X_target = s R X_component + t."""
+    def placement(self) -> Pose:
+        """From the component's frame to the target's."""
         shift = np.array([float(self.shift_x), float(self.shift_y), float(self.shift_z)])
         unit = float(self.unit)
-        return (
-            np.asarray(self.turned),
-            np.asarray(self.origin) + unit * shift,
-            unit * float(self.scale),
-        )
+        place = np.asarray(self.origin) + unit * shift
+        return Pose(np.asarray(self.turned), place, unit * float(self.scale))
 
 
 def bare(model: AbstractSurface) -> AbstractSurface:

@@ -276,7 +276,7 @@ def fit_sheet(
             place, number, moved = whole.descend(coordinates, model, _FINE, _SETTLED)
             settled.append(_finish(whole, coordinates, label, place, number, moved))
     settled.sort(key=lambda end: end.chi2)
-    ends = [_in_target(end, frame, order) for end in settled]
+    ends = [_in_target(end, names, frame, order) for end in settled]
     cloud = PointCloud(points, weights=weights)
     best = with_all_points(Coordinates.of(ends[0].model, names), ends[0], 0, cloud)
     return best.model, names, [best, *ends[1:]]
@@ -331,7 +331,9 @@ class Canonical:
         return np.argsort(far, kind="stable")[np.random.default_rng(seed).permutation(len(points))]
 
 
-def _in_target(end: Settled, frame: Canonical, order: np.ndarray) -> Settled:
+def _in_target(
+    end: Settled, names: tuple[str, ...], frame: Canonical, order: np.ndarray
+) -> Settled:
     """An end in the target's frame and unit, its points in the target's order."""
     back = np.argsort(order)
     (seen,) = end.seen
@@ -342,18 +344,34 @@ def _in_target(end: Settled, frame: Canonical, order: np.ndarray) -> Settled:
         noise=frame.unit * seen.noise,
         uv=seen.uv[back],
     )
-    model = end.model
-    if isinstance(model, Posed):
-        rotation, translation, scale = model.placement
-        blade = model.surface
-        rotation = frame.axes @ rotation
-        if isinstance(blade, BladePetal) and float(blade.cup_mid) < 0:
-            # The same blade by other numbers: the side that it is hollow on is the upper one.
-            blade = blade.turned_over()
-            rotation = rotation @ np.diag([-1.0, 1.0, -1.0])
-        place = frame.unit * frame.axes @ translation + frame.centre
-        model = Posed(programs.numbers(blade), rotation, place, frame.unit * scale)
-    return dataclasses.replace(end, model=model, seen=(seen,))
+    end, model = dataclasses.replace(end, seen=(seen,)), end.model
+    if not isinstance(model, Posed):
+        return end
+    blade, placed = model.surface, model.placement
+    assert isinstance(blade, BladePetal)
+    rotation = frame.axes @ placed.rotation
+    if float(blade.cup_mid) < 0:
+        # The same blade by other numbers: the side that it is hollow on is the upper one.
+        blade, rotation = blade.turned_over(), rotation @ np.diag([-1.0, 1.0, -1.0])
+        end = _turned_over(end, names)
+    place = frame.unit * frame.axes @ placed.translation + frame.centre
+    scale = frame.unit * float(placed.scale)
+    return dataclasses.replace(end, model=Posed(programs.numbers(blade), rotation, place, scale))
+
+
+def _turned_over(end: Settled, names: tuple[str, ...]) -> Settled:
+    """What was seen beside a blade, and its information, in the numbers of the blade turned over.
+
+    Those of a pose, which is a nuisance to them, may keep their signs.
+    """
+    signs = np.where(np.isin(names, BladePetal.sided), -1.0, 1.0)
+    both = np.outer(signs, signs)
+    (seen,) = end.seen
+    assert seen.uv is not None
+    seen = seen._replace(distance=-seen.distance, uv=seen.uv * [-1.0, 1.0])
+    return dataclasses.replace(
+        end, information=end.information * both, spread=end.spread * both, seen=(seen,)
+    )
 
 
 def _finish(

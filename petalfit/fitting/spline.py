@@ -270,15 +270,13 @@ def _in_own_frame(
         axes = left @ right
         own = np.column_stack([axes, np.cross(axes[:, 0], axes[:, 1])])
         start = middle - 0.5 * along
-        scale = size if pose == "rigid" else size * float(np.linalg.norm(along)) / _LENGTH
-        unit = size / scale
+        unit = size if pose == "rigid" else _LENGTH / float(np.linalg.norm(along))
         offsets = unit * (control - start) @ own
         a_x, b_y = unit * float(np.linalg.norm(across)), unit * float(np.linalg.norm(along))
-        turn, origin = rotation @ own, size * rotation @ start + place
-        scale = 1.0 if pose == "rigid" else scale
+        scale, turn, origin = size / unit, rotation @ own, size * rotation @ start + place
     flat = np.zeros_like(offsets)
     flat[..., 0], flat[..., 1] = a_x * u[:, None], b_y * v[None, :]
-    return SplinePetal(a_x, b_y, 0.0, offsets - flat), Pose(turn, origin, float(scale))
+    return SplinePetal(a_x, b_y, 0.0, offsets - flat), Pose(turn, origin, scale)
 
 
 def _base_first(control: Float[np.ndarray, "m n 3"]) -> Float[np.ndarray, "m n 3"]:

@@ -94,8 +94,8 @@ def summarise(
     ]  # fmt: skip
     pose = Pose.identity()
     pose_stderr = {}
-    if isinstance(source, Posed) and isinstance(targets[0], PointCloud):
-        pose = Pose(*source.placement)
+    if isinstance(source, Posed) and in_space:
+        pose = source.placement
         errors = dict(zip(names, map(float, np.sqrt(np.diag(matrix))), strict=True))
         pose_stderr = {
             n: errors[n] * _pose_unit(n, source) for n in Posed.similarity if n in errors
@@ -105,7 +105,7 @@ def summarise(
         values = {name: x for name, x in values.items() if name not in Posed.similarity}
         identifiable = {name: identifiable[name] for name in names}
     elif isinstance(source, Posed):
-        pose = Pose(*source.placement)
+        pose = source.placement
         warnings.append(
             "without a camera lengths are relative: one unit of the model is "
             f"{pose.scale:.4g} pixels"
@@ -136,9 +136,7 @@ def summarise(
 
 def _pose_unit(name: str, posed: Posed) -> float:
     """What the pose's own unit of a parameter is in the result's."""
-    if name == "scale":
-        return float(posed.unit)
-    return float(posed.unit) if name.startswith("shift") else 1.0
+    return 1.0 if name.startswith("turn") else float(posed.unit)
 
 
 def _symmetries(model: AbstractSurface) -> list[str]:
@@ -172,10 +170,11 @@ def _in_pixels(
     posed: Posed, names: tuple[str, ...], values: dict[str, float], matrix: np.ndarray
 ) -> tuple[dict[str, float], np.ndarray]:
     """Scale in pixels a unit, and where the model's origin is seen, instead of Posed's own units."""
-    _, translation, scale = posed.placement
+    placed = posed.placement
     unit = float(posed.unit)
     factors = np.array([unit if name in Posed.in_image else 1.0 for name in names])
-    pixels = {"scale": scale, "shift_x": translation[0], "shift_y": translation[1]}
+    right, down, _ = map(float, placed.translation)
+    pixels = {"scale": float(placed.scale), "shift_x": right, "shift_y": down}
     return values | pixels, matrix * np.outer(factors, factors)
 
 

@@ -8,7 +8,11 @@ import pytest
 from scipy.spatial import KDTree
 
 import petalfit as pf
+from petalfit.fitting.cloud import ObservedCloud, pad
+from petalfit.fitting.coordinates import Coordinates
 from petalfit.fitting.flatten import flatten
+from petalfit.fitting.rounds import Settled
+from petalfit.fitting.sheet import Canonical, _in_target
 from petalfit.residuals import Emptiness
 
 PETALS = Path(__file__).parents[3] / "shared" / "data" / "petals"
@@ -142,6 +146,41 @@ def test_the_result_survives_its_file_and_lies_in_the_targets_frame(posed, tmp_p
     assert np.median(gaps) < 0.05 * np.ptp(points)
 
 
+def test_a_blade_that_is_turned_over_says_the_same():
+    """Foot points, signs of distances and errors belong to the numbers that are reported."""
+    with jax.enable_x64(True):
+        rng = np.random.default_rng(6)
+        names = ("width", "bend", "cup_mid", "keel", "skew", *pf.components.Posed.similarity)
+        hollow = TRUTH.turned_over()
+        model = pf.components.Posed(hollow, random_rotation(rng), np.array([1.0, 2.0, 3.0]), 0.4)
+        uv = np.stack([rng.uniform(-0.45, 0.45, 96), rng.uniform(0.05, 0.95, 96)], axis=-1)
+        points = np.asarray(model(*uv.T)) + 0.01 * rng.standard_normal((96, 3))
+        cloud = ObservedCloud(pad(points, np.ones(96), 0.01))
+
+        def end(model: pf.components.Posed, uv: np.ndarray) -> Settled:
+            coordinates = Coordinates.of(model, names)
+            t, term = coordinates.inverse(model), cloud.at(jax.numpy.asarray(uv))
+            slopes = coordinates.slopes(t)
+            information = cloud.information(coordinates, t, term)[0] / np.outer(slopes, slopes)
+            seen = tuple(cloud.seen(coordinates, t, term))
+            return Settled("", model, information, information, seen, 1, 0.0, 0.0)
+
+        frame = Canonical(np.eye(3), np.zeros(3), 1.0)
+        mapped = _in_target(end(model, uv), names, frame, np.arange(96))
+        assert float(mapped.model.surface.cup_mid) == pytest.approx(TRUTH.cup_mid)
+        (seen,) = mapped.seen
+        again = end(mapped.model, seen.uv)
+        np.testing.assert_allclose(mapped.model(*seen.uv.T), model(*uv.T), atol=1e-9)
+        np.testing.assert_allclose(again.seen[0].distance, seen.distance, atol=1e-9)
+        shape = np.s_[:5, :5]
+        np.testing.assert_allclose(
+            np.linalg.inv(again.information)[shape],
+            np.linalg.inv(mapped.information)[shape],
+            rtol=1e-6,
+            atol=1e-12,
+        )
+
+
 @pytest.mark.skipif(not PETALS.exists(), reason="needs ../shared/data/petals")
 @pytest.mark.parametrize("name", ["lily0_tepal1", "tulip_rosaLjus_petal1"])
 def test_a_petal_that_nobody_generated(name):
@@ -207,6 +246,10 @@ def test_a_spline_follows_a_sheet_wherever_it_is(tmp_path):
     other = pf.fit_petal(moved, model=pf.SplinePetal, pose="similarity")
     np.testing.assert_allclose(other.model.offsets, result.model.offsets, atol=1e-6)
     assert other.values["a_x"] == pytest.approx(result.values["a_x"], rel=1e-6)
+    rigid = pf.fit_petal(points, model=pf.SplinePetal, pose="rigid")
+    assert rigid.pose.scale == 1.0
+    assert rigid.rms == pytest.approx(result.rms, rel=1e-3)
+    assert rigid.values["a_x"] == pytest.approx(result.values["a_x"] * result.pose.scale, rel=1e-6)
     known = pf.fit_petal(points, model=pf.SplinePetal)
     assert known.rms == pytest.approx(result.rms, rel=1e-3)
     assert known.pose == pf.Pose.identity() or known.pose.scale == 1.0
