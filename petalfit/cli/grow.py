@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from petalfit.cli.options import Quiet, require_seed
+from petalfit.cli.options import Quiet, require_seed, setting_value
 from petalfit.cli.status import SUCCESS, CommandError, require
 
 if TYPE_CHECKING:
@@ -97,10 +97,7 @@ def grow(
 def _setting(text: str) -> tuple[str, float]:
     name, equals, value = text.partition("=")
     require(bool(equals and "." in name), f"--set {text} is not written like petal.dy=4.")
-    try:
-        return name, float(value)
-    except ValueError:
-        raise CommandError(f"--set {text} gives no number; write --set {name}=4.") from None
+    return name, setting_value(text, name, value, "4")
 
 
 def _flower(name: str, seed: int) -> "Flower":

@@ -5,9 +5,18 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from petalfit.cli.status import require
+from petalfit.cli.status import CommandError, require
 
 Quiet = Annotated[bool, arg(help="Print warnings only.")]
+
+
+def setting_value(setting: str, name: str, text: str, example: str) -> float:
+    """The number of a `--set NAME=VALUE`, or a sentence that shows how one is written."""
+    try:
+        return float(text)
+    except ValueError:
+        sentence = f"--set {setting} gives no number; write --set {name}={example}."
+        raise CommandError(sentence) from None
 
 
 def require_noise(noise: float, *, least: str = "0 or more") -> None:

@@ -1,6 +1,5 @@
 """`petalfit parameters`: what there is to fit."""
 
-import inspect
 from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
@@ -15,18 +14,9 @@ Model = Annotated[Positional[str], arg(metavar="MODEL", help="Name of a componen
 
 def component(name: str) -> "type[AbstractSurface]":
     """The component of that name, or a sentence with all there are."""
-    from petalfit import components
-    from petalfit.surfaces import AbstractSurface
+    from petalfit.components import models
 
-    # Each from its own declaration, so that nothing here has to know them.
-    kinds = {
-        name: kind
-        for name, kind in vars(components).items()
-        if inspect.isclass(kind)
-        and issubclass(kind, AbstractSurface)
-        and not inspect.isabstract(kind)
-        and kind is not components.Posed
-    }
+    kinds = models()
     require(name in kinds, f"there is no model {name!r}; the models are {', '.join(kinds)}.")
     return kinds[name]
 

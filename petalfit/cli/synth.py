@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import UseAppendAction, arg
 
-from petalfit.cli.options import require_noise, require_seed
+from petalfit.cli.options import require_noise, require_seed, setting_value
 from petalfit.cli.status import SUCCESS, CommandError, require
 
 if TYPE_CHECKING:
@@ -91,10 +91,7 @@ def _petal(settings: tuple[str, ...]) -> "PeonyPetal":
             name in declared,
             f"--set {setting} names no parameter; the parameters are {', '.join(declared)}.",
         )
-        try:
-            values[name] = float(text)
-        except ValueError:
-            raise CommandError(f"--set {setting} gives no number; write --set {name}=14.") from None
+        values[name] = setting_value(setting, name, text, "14")
         low, high = declared[name].bounds
         require(
             low < values[name] < high,

@@ -3,26 +3,12 @@
 from __future__ import annotations
 
 import abc
-from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, Real
 
-from petalfit.surfaces import Scalar, parameter
-
-
-def _number(
-    default: float,
-    symbol: str,
-    bounds: tuple[float, float],
-    typical: tuple[float, float],
-    meaning: str,
-    unit: str = "1",
-) -> Any:
-    return parameter(
-        default, symbol=symbol, unit=unit, bounds=bounds, typical=typical, meaning=meaning
-    )
+from petalfit.surfaces import Scalar, angle, broadcast_floats, number
 
 
 class AbstractPattern(eqx.Module):
@@ -31,8 +17,8 @@ class AbstractPattern(eqx.Module):
     A subclass gives its figure s, and declares the figure's parameters.
     """
 
-    i_1: Scalar = _number(0.0, "I_1", (-2.0, 3.0), (0.0, 0.6), "intensity of the ground")
-    i_2: Scalar = _number(1.0, "I_2", (-4.0, 4.0), (0.2, 1.0), "how much the pattern adds")
+    i_1: Scalar = number(0.0, "I_1", (-2.0, 3.0), (0.0, 0.6), "intensity of the ground")
+    i_2: Scalar = number(1.0, "I_2", (-4.0, 4.0), (0.2, 1.0), "how much the pattern adds")
 
     @abc.abstractmethod
     def figure(
@@ -42,8 +28,7 @@ class AbstractPattern(eqx.Module):
 
     def __call__(self, u: Real[ArrayLike, "..."], v: Real[ArrayLike, "..."]) -> Float[Array, "..."]:
         """Intensities, the broadcast shape of u and v; not clipped to [0, 1]."""
-        dtype = jnp.result_type(u, v, float)
-        u, v = jnp.broadcast_arrays(jnp.asarray(u, dtype), jnp.asarray(v, dtype))
+        u, v = broadcast_floats(u, v)
         return jnp.asarray(self.i_1 + self.i_2 * self.figure(u, v))
 
 
@@ -55,9 +40,9 @@ class RadialPattern(AbstractPattern):
     every whole n, and continuous between them.
     """
 
-    n: Scalar = _number(2.0, "n", (0.05, 40.0), (0.5, 6.0), "sharpness of the rings")
-    f: Scalar = _number(1.0, "f", (0.02, 30.0), (0.3, 4.0), "rings, in half waves along the petal")
-    phi: Scalar = _number(0.0, "φ", (-3.2, 3.2), (-1.6, 1.6), "phase at the base", "rad")
+    n: Scalar = number(2.0, "n", (0.05, 40.0), (0.5, 6.0), "sharpness of the rings")
+    f: Scalar = number(1.0, "f", (0.02, 30.0), (0.3, 4.0), "rings, in half waves along the petal")
+    phi: Scalar = angle(0.0, "φ", (-3.2, 3.2), (-1.6, 1.6), "phase at the base")
 
     def figure(self, u: Array, v: Array) -> Array:
         sine = jnp.sin(v * jnp.pi * self.f + self.phi)
@@ -72,10 +57,10 @@ class RibPattern(AbstractPattern):
     to the sides.
     """
 
-    f: Scalar = _number(9.0, "f", (0.1, 120.0), (3.0, 40.0), "ribs, in half waves across")
-    n_1: Scalar = _number(0.5, "n_1", (0.0, 30.0), (0.0, 3.0), "how fast ribs fade to the tip")
-    n_2: Scalar = _number(0.5, "n_2", (0.0, 30.0), (0.0, 3.0), "how fast ribs fade to the base")
-    k: Scalar = _number(0.5, "k", (0.0, 30.0), (0.0, 3.0), "how fast ribs fade to the sides")
+    f: Scalar = number(9.0, "f", (0.1, 120.0), (3.0, 40.0), "ribs, in half waves across")
+    n_1: Scalar = number(0.5, "n_1", (0.0, 30.0), (0.0, 3.0), "how fast ribs fade to the tip")
+    n_2: Scalar = number(0.5, "n_2", (0.0, 30.0), (0.0, 3.0), "how fast ribs fade to the base")
+    k: Scalar = number(0.5, "k", (0.0, 30.0), (0.0, 3.0), "how fast ribs fade to the sides")
 
     def figure(self, u: Array, v: Array) -> Array:
         wave = jnp.sin(self.f * (u + 0.5) * jnp.pi)

@@ -26,7 +26,7 @@ OPTIONS = {"xla_llvm_disable_expensive_passes": True}
 
 _DIGEST = hashlib.sha256().digest_size
 # Models of classes that pickle cannot find again, and what XLA does not serialise.
-_UNSAVED = (
+_NOT_KEPT = (
     OSError,
     ValueError,
     NotImplementedError,
@@ -59,7 +59,7 @@ class ExecutableStore:
         return self._loaded[key]
 
     def _load(self, key: str) -> Callable | None:
-        with suppress(OSError):
+        with suppress(*_NOT_KEPT):
             content = (self.folder / key).read_bytes()
             if hashlib.sha256(content[_DIGEST:]).digest() == content[:_DIGEST]:
                 _initialise()
@@ -81,7 +81,7 @@ class ExecutableStore:
         compiled = jax.jit(flat, compiler_options=OPTIONS).lower(*leaves).compile()
         (result,) = results
         # What came out of jax's own cache cannot always be serialised, and need not be.
-        with suppress(*_UNSAVED):
+        with suppress(*_NOT_KEPT):
             example = jax.tree.unflatten(result, range(result.num_leaves))
             content = pickle.dumps((serialize_executable.serialize(compiled), example))
             with atomic_path(self.folder / key) as path:

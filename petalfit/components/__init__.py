@@ -1,5 +1,7 @@
 """The organs of the paper as named, differentiable components."""
 
+import inspect
+
 from petalfit.components.assembly import AbstractAssembly as AbstractAssembly
 from petalfit.components.blade_petal import BladePetal as BladePetal
 from petalfit.components.pedicel import Pedicel as Pedicel
@@ -19,9 +21,22 @@ from petalfit.components.spline_petal import SplinePetal as SplinePetal
 from petalfit.components.stamen import Anther as Anther
 from petalfit.components.stamen import Filament as Filament
 from petalfit.components.stamen import Stamen as Stamen
+from petalfit.surfaces import AbstractSurface as _AbstractSurface
 from petalfit.surfaces import Cylinder as Cylinder
 from petalfit.surfaces import Ellipsoid as Ellipsoid
 from petalfit.surfaces import Parameter as Parameter
 from petalfit.surfaces import Rectangle as Rectangle
 from petalfit.surfaces import parameter as parameter
 from petalfit.surfaces import parameters as parameters
+
+
+def models() -> dict[str, type[_AbstractSurface]]:
+    """Every component that there is to fit or to grow, by its name."""
+    return {
+        name: kind
+        for name, kind in globals().items()
+        if inspect.isclass(kind)
+        and issubclass(kind, _AbstractSurface)
+        and not inspect.isabstract(kind)
+        and kind is not Posed
+    }

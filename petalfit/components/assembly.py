@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import abc
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from petalfit.surfaces import WRAPPED, AbstractSurface, Domain, Pose
+from petalfit.components.carrier import AbstractCarrier
+from petalfit.surfaces import WRAPPED, AbstractSurface, Domain, Pose, moved
 
 if TYPE_CHECKING:
     import trimesh
@@ -66,13 +67,7 @@ class AbstractAssembly(AbstractSurface):
         """One triangle mesh of all parts."""
         import trimesh
 
-        meshes = []
-        for pose, surface in self.parts().values():
-            mesh = surface.mesh(resolution)
-            normals = mesh.vertex_normals @ np.asarray(pose.rotation).T
-            mesh.apply_transform(pose.matrix())
-            mesh.vertex_normals = normals
-            meshes.append(mesh)
+        meshes = [moved(surface.mesh(resolution), pose) for pose, surface in self.parts().values()]
         return trimesh.util.concatenate(meshes)  # pyright: ignore[reportReturnType]
 
     def area(self, resolution: tuple[int, int] = (512, 256)) -> Float[Array, ""]:
@@ -99,7 +94,7 @@ class AbstractAssembly(AbstractSurface):
         return PointCloud(place + noise * rng.standard_normal(place.shape), np.concatenate(normals))
 
 
-class PartOf(AbstractSurface):
+class PartOf(AbstractCarrier):
     """One surface of an assembly in the frame of the whole, as a function of all the whole's parameters.
 
     Attributes:
@@ -109,33 +104,16 @@ class PartOf(AbstractSurface):
 
     assembly: AbstractAssembly = eqx.field(metadata=WRAPPED)
     number: int = eqx.field(static=True)
+    model_field: ClassVar[str] = "assembly"
+
+    @property
+    def carried(self) -> AbstractSurface:
+        return self._posed[1]
 
     @property
     def _posed(self) -> tuple[Pose, AbstractSurface]:
         return [*self.assembly.parts().values()][self.number]
 
-    @property
-    def domain(self) -> Domain:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self._posed[1].domain
-
-    @property
-    def orientation(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self._posed[1].orientation
-
-    @property
-    def edges(self) -> tuple[bool, bool]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self._posed[1].edges
-
-    @property
-    def regular(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self._posed[1].regular
-
     def position(self, u: Array, v: Array) -> Array:
         pose, surface = self._posed
         return pose(surface.position(u, v))
-
-    def __getattr__(self, name: str) -> Any:
-        # Only asked for what PartOf itself does not have: the whole's parameters.
-        if name.startswith("_"):
-            raise AttributeError(name)
-        return getattr(object.__getattribute__(self, "assembly"), name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import ModuleType
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -15,8 +16,9 @@ from petalfit.surfaces import (
     Domain,
     Rectangle,
     Scalar,
+    angle,
     length,
-    parameter,
+    number,
 )
 
 # Gauss-Legendre nodes and weights on [0, 1], for the integrals along the midrib and across it.
@@ -27,42 +29,12 @@ _KEEL = 0.12  # half width of the keel, in half widths of the blade
 _GROOVE = 0.08  # the same of the midrib's relief
 
 
-def _number(
-    default: float,
-    symbol: str,
-    bounds: tuple[float, float],
-    typical: tuple[float, float],
-    meaning: str,
-    fixed: bool = False,
-) -> Any:
-    return parameter(
-        default,
-        symbol=symbol,
-        unit="1",
-        bounds=bounds,
-        typical=typical,
-        meaning=meaning,
-        fixed=fixed,
-    )
-
-
 def _angle(symbol: str, reach: float, typical: float, meaning: str) -> Any:
-    return parameter(
-        0.0,
-        symbol=symbol,
-        unit="rad",
-        bounds=(-reach, reach),
-        typical=(-typical, typical),
-        meaning=meaning,
-    )
+    return angle(0.0, symbol, (-reach, reach), (-typical, typical), meaning)
 
 
 def _relief(symbol: str, meaning: str) -> Any:
     return length(0.0, symbol, (-5.0, 5.0), (-1.0, 1.0), meaning, fixed=True)
-
-
-# Made before a field takes its name.
-_length = length(10.0, "L", (0.01, 1000.0), (3.0, 40.0), "along the midrib")
 
 
 class BladePetal(AbstractDeformedSurface):
@@ -90,22 +62,20 @@ class BladePetal(AbstractDeformedSurface):
         relief: Whether midrib, ribs and ruffle are there; without, fits are faster.
     """
 
-    length: Scalar = _length
-    width: Scalar = _number(0.6, "w", (0.02, 3.0), (0.15, 1.2), "where it is widest, in lengths")
-    widest: Scalar = _number(
-        0.5, "m", (0.08, 0.92), (0.25, 0.75), "where that is, from base to tip"
-    )
-    base_width: Scalar = _number(0.2, "e_b", (0.0, 1.0), (0.0, 0.6), "of the base, in widths")
-    tip_width: Scalar = _number(0.1, "e_t", (0.0, 1.0), (0.0, 0.6), "of the tip, in widths")
-    base_taper: Scalar = _number(0.8, "a_b", (0.15, 5.0), (0.4, 2.0), "½ round, 1 straight, 2 claw")
-    tip_taper: Scalar = _number(
+    length: Scalar = length(10.0, "L", (0.01, 1000.0), (3.0, 40.0), "along the midrib")
+    width: Scalar = number(0.6, "w", (0.02, 3.0), (0.15, 1.2), "where it is widest, in lengths")
+    widest: Scalar = number(0.5, "m", (0.08, 0.92), (0.25, 0.75), "where that is, from base to tip")
+    base_width: Scalar = number(0.2, "e_b", (0.0, 1.0), (0.0, 0.6), "of the base, in widths")
+    tip_width: Scalar = number(0.1, "e_t", (0.0, 1.0), (0.0, 0.6), "of the tip, in widths")
+    base_taper: Scalar = number(0.8, "a_b", (0.15, 5.0), (0.4, 2.0), "½ round, 1 straight, 2 claw")
+    tip_taper: Scalar = number(
         0.8, "a_t", (0.15, 5.0), (0.4, 2.0), "½ round, 1 straight, 2 drawn out"
     )
-    tip_edge: Scalar = _number(0.0, "τ_t", (-1.0, 1.0), (-0.2, 0.2), "rounded tip; < 0 notched")
-    base_edge: Scalar = _number(
+    tip_edge: Scalar = number(0.0, "τ_t", (-1.0, 1.0), (-0.2, 0.2), "rounded tip; < 0 notched")
+    base_edge: Scalar = number(
         0.0, "τ_b", (-1.0, 1.0), (-0.2, 0.2), "rounded base; < 0 heart-shaped"
     )
-    skew: Scalar = _number(0.0, "k", (-0.9, 0.9), (-0.3, 0.3), "how much wider one side is")
+    skew: Scalar = number(0.0, "k", (-0.9, 0.9), (-0.3, 0.3), "how much wider one side is")
     bend: Scalar = _angle("β", 6.3, 1.5, "of the midrib, towards the upper side")
     bend_shift: Scalar = _angle("β'", 6.3, 0.8, "more of it near the base, or (< 0) the tip")
     tip_roll: Scalar = _angle("β_t", 6.3, 0.5, "of the last part of the tip")
@@ -118,10 +88,10 @@ class BladePetal(AbstractDeformedSurface):
     keel: Scalar = _angle("χ", 2.0, 0.3, "fold along the midrib")
     midrib: Scalar = _relief("h", "height of the midrib")
     rib_amplitude: Scalar = _relief("A", "height of the ribs")
-    rib_frequency: Scalar = _number(12.0, "f", (1.0, 64.0), (4.0, 40.0), "half waves of ribs", True)
+    rib_frequency: Scalar = number(12.0, "f", (1.0, 64.0), (4.0, 40.0), "half waves of ribs", True)
     ruffle: Scalar = _relief("r", "height of the margin's waves")
-    ruffle_frequency: Scalar = _number(3.0, "f_r", (0.3, 20.0), (1.0, 8.0), "waves of it", True)
-    ruffle_phase: Scalar = _number(
+    ruffle_frequency: Scalar = number(3.0, "f_r", (0.3, 20.0), (1.0, 8.0), "waves of it", True)
+    ruffle_phase: Scalar = number(
         0.0, "φ_r", (-1.0, 1.0), (-0.5, 0.5), "their phase, in waves", True
     )
     relief: bool = eqx.field(default=False, static=True)
@@ -181,15 +151,29 @@ class _Bent(AbstractSurface):
         return bent(self.blade, u, v)
 
 
+def profile(
+    v: Any, widest: Scalar, ends: tuple[Any, Any], tapers: tuple[Any, Any], xp: ModuleType
+) -> Any:
+    """w(v), the width along an outline in units of the greatest.
+
+    Args:
+        v: Places from base to tip.
+        widest: Where it is 1.
+        ends: Widths of base and tip.
+        tapers: Of the sides towards base and tip.
+        xp: `jax.numpy`, or `numpy` for a search that calls it often with little.
+    """
+    below = v < widest
+    end, taper = xp.where(below, *ends), xp.where(below, *tapers)
+    inside = 1 - ((v - widest) / xp.where(below, widest, 1 - widest)) ** 2
+    return end + (1 - end) * ((xp.maximum(inside, 0.0) + _SOFT) / (1 + _SOFT)) ** taper
+
+
 def flat(blade: BladePetal, u: Array, v: Array) -> tuple[Array, Array]:
     """The outline's q across and s along, before anything bends."""
     t = 2 * u
-    below = v < blade.widest
-    reach = jnp.where(below, blade.widest, 1 - blade.widest)
-    end = jnp.where(below, blade.base_width, blade.tip_width)
-    taper = jnp.where(below, blade.base_taper, blade.tip_taper)
-    inside = jnp.maximum(1 - ((v - blade.widest) / reach) ** 2, 0.0)
-    width = end + (1 - end) * ((inside + _SOFT) / (1 + _SOFT)) ** taper
+    ends, tapers = (blade.base_width, blade.tip_width), (blade.base_taper, blade.tip_taper)
+    width = profile(v, blade.widest, ends, tapers, jnp)
     q = blade.length * blade.width * width * (u + blade.skew * u**2)
     s = blade.length * (v - blade.tip_edge * v**2 * t**2 + blade.base_edge * (1 - v) ** 2 * t**2)
     return jnp.asarray(q), jnp.asarray(s)

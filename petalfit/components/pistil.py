@@ -19,7 +19,7 @@ from petalfit.surfaces import (
     Scalar,
     about_y,
     length,
-    parameter,
+    number,
 )
 
 _PI = jnp.pi
@@ -52,14 +52,8 @@ class Style(AbstractDeformedSurface):
     r: Scalar = length(1.5, "r", (0.05, 100.0), (0.5, 6.0), "radius of the cylinder")
     swell: Scalar = length(1.0, "a_1", (-20.0, 20.0), (0.0, 2.0), "extent of the unevenness", True)
     bend: Scalar = length(3.0, "a_2", (-50.0, 50.0), (0.0, 6.0), "extent of the bend", True)
-    slenderness: Scalar = parameter(
-        10.0,
-        symbol="h/r",
-        unit="1",
-        bounds=(0.5, 500.0),
-        typical=(5.0, 40.0),
-        meaning="height in radii",
-        fixed=True,
+    slenderness: Scalar = number(
+        10.0, "h/r", (0.5, 500.0), (5.0, 40.0), "height in radii", fixed=True
     )
     domain: ClassVar[Domain] = Cylinder.domain
     orientation: ClassVar[float] = Cylinder.orientation
@@ -120,13 +114,12 @@ class CompoundPistil(AbstractAssembly):
     """
 
     carpel: Pistil = eqx.field(default_factory=Pistil)
-    spread: Scalar = parameter(
+    spread: Scalar = number(
         0.6,
-        symbol="s",
-        unit="1",
-        bounds=(0.0, 1.0),
-        typical=(0.3, 0.9),
-        meaning="distance of the carpels from the axis, in radii of the ovary",
+        "s",
+        (0.0, 1.0),
+        (0.3, 0.9),
+        "distance of the carpels from the axis, in radii of the ovary",
     )
     carpels: int = eqx.field(default=3, static=True)
 

@@ -9,32 +9,30 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from petalfit.surfaces import WRAPPED, AbstractSurface, Domain, Pose, Scalar, parameter, rotation
+from petalfit.components.carrier import AbstractCarrier
+from petalfit.surfaces import (
+    WRAPPED,
+    AbstractSurface,
+    Pose,
+    Scalar,
+    angle,
+    length,
+    number,
+    rotation,
+)
 
 
 def _shift(axis: str) -> Any:
-    return parameter(
-        0.0,
-        symbol=f"t_{axis}",
-        unit="length",
-        bounds=(-500.0, 500.0),
-        typical=(-20.0, 20.0),
-        meaning=f"place, along {axis} (in an image x is to the right and y downwards)",
-    )
+    meaning = f"place, along {axis} (in an image x is to the right and y downwards)"
+    return length(0.0, f"t_{axis}", (-500.0, 500.0), (-20.0, 20.0), meaning)
 
 
 def _turn(axis: str) -> Any:
-    return parameter(
-        0.0,
-        symbol=f"ω_{axis}",
-        unit="rad",
-        bounds=(-3.2, 3.2),
-        typical=(-1.0, 1.0),
-        meaning=f"turn about the component's {axis}",
-    )
+    meaning = f"turn about the component's {axis}"
+    return angle(0.0, f"ω_{axis}", (-3.2, 3.2), (-1.0, 1.0), meaning)
 
 
-class Posed(AbstractSurface):
+class Posed(AbstractCarrier):
     """unit · (scale · R T S(u, v) + shift) + origin, with S of another component.
 
     Its parameters are the component's and its own, all by their plain names. T turns by the vector turn,
@@ -51,20 +49,14 @@ class Posed(AbstractSurface):
     rotation: Float[Array | np.ndarray, "3 3"]
     origin: Float[Array | np.ndarray, "3"]
     unit: Scalar
-    scale: Scalar = parameter(
-        1.0,
-        symbol="s",
-        unit="1",
-        bounds=(0.02, 50.0),
-        typical=(0.3, 3.0),
-        meaning="size of one unit of the model",
-    )
+    scale: Scalar = number(1.0, "s", (0.02, 50.0), (0.3, 3.0), "size of one unit of the model")
     shift_x: Scalar = _shift("x")
     shift_y: Scalar = _shift("y")
     shift_z: Scalar = _shift("z")
     turn_x: Scalar = _turn("x")
     turn_y: Scalar = _turn("y")
     turn_z: Scalar = _turn("z")
+    model_field: ClassVar[str] = "surface"
     # What is free in an image of unknown place and scale, and in space.
     in_image: ClassVar[tuple[str, ...]] = ("scale", "shift_x", "shift_y")
     rigid: ClassVar[tuple[str, ...]] = (
@@ -78,20 +70,8 @@ class Posed(AbstractSurface):
     similarity: ClassVar[tuple[str, ...]] = ("scale", *rigid)
 
     @property
-    def domain(self) -> Domain:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.surface.domain
-
-    @property
-    def orientation(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.surface.orientation
-
-    @property
-    def edges(self) -> tuple[bool, bool]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.surface.edges
-
-    @property
-    def regular(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.surface.regular
+    def carried(self) -> AbstractSurface:
+        return self.surface
 
     def position(self, u: Array, v: Array) -> Array:
         shift = jnp.stack([jnp.asarray(x) for x in (self.shift_x, self.shift_y, self.shift_z)])
@@ -103,12 +83,6 @@ class Posed(AbstractSurface):
         """R T."""
         turn = jnp.stack([jnp.asarray(x) for x in (self.turn_x, self.turn_y, self.turn_z)])
         return jnp.asarray(self.rotation) @ rotation(turn)
-
-    def __getattr__(self, name: str) -> Any:
-        # Only asked for what Posed itself does not have: the component's parameters.
-        if name.startswith("__"):
-            raise AttributeError(name)
-        return getattr(object.__getattribute__(self, "surface"), name)
 
     @property
     def placement(self) -> Pose:

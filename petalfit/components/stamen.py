@@ -18,8 +18,8 @@ from petalfit.surfaces import (
     Pose,
     Scalar,
     about_x,
+    angle,
     length,
-    parameter,
 )
 
 _PI = jnp.pi
@@ -83,14 +83,8 @@ class Stamen(AbstractAssembly):
 
     filament: Filament = eqx.field(default_factory=Filament)
     anther: Anther = eqx.field(default_factory=Anther)
-    tilt: Scalar = parameter(
-        0.0,
-        symbol="τ",
-        unit="rad",
-        bounds=(-1.6, 1.6),  # a half turn more is the same anther
-        typical=(-1.5, 1.5),
-        meaning="how far the anther is tipped over",
-    )
+    # A half turn more is the same anther.
+    tilt: Scalar = angle(0.0, "τ", (-1.6, 1.6), (-1.5, 1.5), "how far the anther is tipped over")
 
     def parts(self) -> dict[str, tuple[Pose, AbstractSurface]]:
         filament = self.filament

@@ -57,16 +57,18 @@ def export_flower(flower: Flower, path: str | os.PathLike[str]) -> None:
         temporary.write_bytes(content)
 
 
-def flower_scene(flower: Flower) -> trimesh.Scene:
-    """The flower as a scene of named nodes; what `export_flower` writes as glTF."""
+def _scene(flower: Flower) -> tuple[trimesh.Scene, dict[str, Colour]]:
+    """The flower as a scene of named nodes, and the colours of its materials."""
     import trimesh
 
     scene = trimesh.Scene(metadata={"petalfit": {"version": __version__, "flower": flower.name}})
     scene.graph.update(frame_to=flower.name, matrix=np.eye(4))
     seen: dict[bytes, str] = {}
+    colours: dict[str, Colour] = {}
     for grown in grow(flower):
         label = _label(flower, grown)
-        material = _material(flower.colour(grown.part), label)
+        colours[label] = flower.colour(grown.part)
+        material = _material(colours[label], label)
         for k, mesh in enumerate(_meshes(grown)):
             mesh.visual.material = material  # pyright: ignore
             organ, node = _names(flower, grown, k)
@@ -94,7 +96,7 @@ def flower_scene(flower: Flower) -> trimesh.Scene:
                 geometry=seen[key],
                 metadata={"petalfit": _extras(flower, grown, k)},
             )
-    return scene
+    return scene, colours
 
 
 def _below(scene: trimesh.Scene, organ: str, node: str) -> str:
@@ -152,7 +154,7 @@ def _attachment(flower: Flower, grown: Grown, k: int) -> dict[str, float]:
 
 
 def _meshes(grown: Grown) -> list[trimesh.Trimesh]:
-    """In the frame of the part."""
+    """One of each organ."""
     import trimesh
     from trimesh.visual import TextureVisuals
 
@@ -187,46 +189,30 @@ def _material(colour: Colour, name: str) -> PBRMaterial:
 def _glb(flower: Flower) -> bytes:
     from trimesh.exchange.gltf import export_glb
 
-    factors = {}
-    for part, colour in _colours(flower):
-        if colour.is_plain:
-            linear = np.asarray(to_linear(np.asarray(colour.palette[0], np.float32)))
-            factors[part] = [*(round(float(x), 7) for x in linear), 1.0]
+    scene, colours = _scene(flower)
 
     def exact(tree: dict[str, Any]) -> None:
         for material in tree["materials"]:
-            if material["name"] in factors:
-                factor = factors[material["name"]]
+            colour = colours[material["name"]]
+            if colour.is_plain:
+                linear = np.asarray(to_linear(np.asarray(colour.palette[0], np.float32)))
+                factor = [*(round(float(x), 7) for x in linear), 1.0]
                 material["pbrMetallicRoughness"]["baseColorFactor"] = factor
 
-    scene = flower_scene(flower)
     return export_glb(scene, include_normals=True, tree_postprocessor=exact)
-
-
-def _colours(flower: Flower) -> list[tuple[str, Colour]]:
-    """By the names that materials have."""
-    return [*flower.colours.items()] + [
-        (f"{series.name}/{part}" if part else series.name, colour)
-        for series in flower.series
-        for part, colour in series.colours.items()
-    ]
 
 
 def _posed(flower: Flower) -> list[tuple[str, trimesh.Trimesh]]:
     """Every surface by its name, in the flower's frame."""
-    found = []
-    for grown in grow(flower):
-        for k, mesh in enumerate(_meshes(grown)):
-            matrix = grown.outer[k] @ grown.inner[k]
-            turn = matrix[:3, :3] / np.cbrt(np.linalg.det(matrix[:3, :3]))
-            normals = mesh.vertex_normals @ turn.T
-            mesh.apply_transform(matrix)
-            mesh.vertex_normals = normals
-            found.append((_names(flower, grown, k)[1], mesh))
-    return found
+    return [
+        (_names(flower, grown, k)[1], mesh)
+        for grown in grow(flower)
+        for k, mesh in enumerate(_meshes(grown.in_flower()))
+    ]
 
 
 def _obj(flower: Flower) -> bytes:
+    # Not as a scene, of which trimesh would compute the normals anew, from faces.
     lines, offset = [f"# {flower.name} grown by petalfit {__version__}\n"], 0
     for name, mesh in _posed(flower):
         text = io.StringIO(obj_text(mesh))

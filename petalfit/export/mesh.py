@@ -54,7 +54,7 @@ def export_mesh(
     if suffix == ".glb":
         export_glb(result, path, resolution)
         return
-    mesh = posed_mesh(result, resolution)
+    mesh = result.mesh(resolution)
     if suffix == ".obj":
         title = f"{type(result.model).__name__} fitted by petalfit {__version__}"
         _write(obj_text(mesh, header=title).encode(), path)
@@ -88,7 +88,7 @@ def export_glb(
     from trimesh.visual import TextureVisuals
     from trimesh.visual.material import PBRMaterial
 
-    mesh = posed_mesh(result, resolution)
+    mesh = result.mesh(resolution)
     assert isinstance(mesh.visual, TextureVisuals)
     mesh.visual.material = PBRMaterial(
         name="petal",
@@ -138,14 +138,6 @@ def extras(result: FitResult) -> dict[str, Any]:
 def _finite(number: float) -> float | None:
     """JSON has no infinities."""
     return float(number) if math.isfinite(number) else None
-
-
-def posed_mesh(result: FitResult, resolution: tuple[int, int]) -> trimesh.Trimesh:
-    """`result.mesh()` with the surface's own normals, which a new frame turns."""
-    mesh = result.mesh(resolution)
-    normals = result.model.mesh(resolution).vertex_normals @ result.pose.rotation.T
-    mesh.vertex_normals = normals
-    return mesh
 
 
 def obj_text(mesh: trimesh.Trimesh, **options: Any) -> str:

@@ -6,17 +6,22 @@ import dataclasses
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from petalfit.components import AbstractAssembly
 from petalfit.fitting import programs
-from petalfit.fitting.cloud import ObservedCloud, component_starts, pad
+from petalfit.fitting.cloud import (
+    ObservedCloud,
+    comparable,
+    component_starts,
+    follow,
+    mean_logarithm,
+    pad,
+)
 from petalfit.fitting.coordinates import Coordinates
-from petalfit.fitting.determined import stay_at_the_start
 from petalfit.fitting.rounds import (
     AbstractObserved,
     Account,
-    Polished,
     Progress,
     Seen,
     Settled,
@@ -49,6 +54,22 @@ class ObservedParts(AbstractObserved):
 
     def look(self, model: AbstractSurface, term: AbstractTerm | None) -> PartsDistance:
         """Foot points on every part, and every point shared among the parts that it may be of."""
+        feet, gaps = self._reach(model, term)
+        sigma = self.data.sigma if term is None else term.sigma
+        terms = tuple(
+            TangentDistance(
+                data=self.data._replace(weights=self.data.weights * share),
+                uv=uv,
+                sigma=self.data.sigma,
+            )
+            for share, uv in zip(_shares(gaps, float(sigma)), feet, strict=True)
+        )
+        return PartsDistance(terms=terms, sigma=sigma)
+
+    def _reach(
+        self, model: AbstractSurface, term: AbstractTerm | None
+    ) -> tuple[list[Array], Float[np.ndarray, "k n"]]:
+        """Foot points of all points on every part, and how far they are."""
         assert isinstance(model, AbstractAssembly)
         points, feet, gaps = np.asarray(self.data.points), [], []
         for k, (pose, surface) in enumerate(model.parts().values()):
@@ -61,28 +82,12 @@ class ObservedParts(AbstractObserved):
             uv = programs.refine(surface, own, start, 2 if known else 6)
             feet.append(uv)
             gaps.append(np.asarray(programs.distances(surface, own, uv)) * float(pose.scale))
-        sigma = self.data.sigma if term is None else term.sigma
-        shares = _shares(np.stack(gaps), float(sigma))
-        terms = tuple(
-            TangentDistance(
-                data=self.data._replace(weights=self.data.weights * share),
-                uv=uv,
-                sigma=self.data.sigma,
-            )
-            for share, uv in zip(shares, feet, strict=True)
-        )
-        return PartsDistance(terms=terms, sigma=sigma)
+        return feet, np.stack(gaps)
 
     def misfit(self, model: AbstractSurface) -> float:
-        term = self.look(model, None)
-        assert isinstance(model, AbstractAssembly)
-        total = 0.0
-        extent = 0.01 * np.linalg.norm(np.ptp(np.asarray(self.data.points), axis=0))
-        for k, part in enumerate(term.terms):
-            distance = programs.distances(model.part(k), self.data.points, part.uv)
-            squares = (np.asarray(distance) / extent) ** 2
-            total += float(np.sum(np.asarray(part.data.weights) * np.log1p(squares)))
-        return total / float(np.sum(np.asarray(self.data.weights)))
+        _, gaps = self._reach(model, None)
+        shares = _shares(gaps, float(self.data.sigma)) * np.asarray(self.data.weights)
+        return mean_logarithm(self.data, gaps, shares)
 
     def information(
         self, coordinates: Coordinates, t: np.ndarray, term: AbstractTerm
@@ -123,9 +128,7 @@ class ObservedParts(AbstractObserved):
         owner = np.argmin([np.abs(part.distance) for part in parts], axis=0)
         distance = np.choose(owner, [part.distance for part in parts])[: self.count]
         weights = np.asarray(self.data.weights)[: self.count]
-        total = float(np.sum(weights))
-        with np.errstate(divide="ignore"):
-            chi2 = total * float(np.log(np.sum(weights * distance**2) / total))
+        chi2 = comparable(distance, weights)
         return [Seen(distance, weights, float(term.sigma), "length", chi2)]
 
 
@@ -169,19 +172,10 @@ def fit_assembly(
     if not from_template:
         starts = component_starts(coordinates, ObservedParts.of, points, weights, order, progress)
 
-    def settle(label: str, model: AbstractSurface, prior: Prior | None = None) -> Settled:
+    def settle(label: str, model: AbstractSurface, prior: Prior | None) -> Settled:
         polished = minimise(
             coordinates, [observed], model, [None], _ROUNDS, _TOLERANCE, prior, every=2
         )
         return finish(coordinates, label, [observed], polished, prior)
 
-    ends = []
-    for label, model in starts:
-        progress(f"polishing from {label}")
-        ends.append(settle(label, model))
-    best, *others = sorted(ends, key=lambda end: end.chi2)
-
-    def again(model: AbstractSurface, _: Polished | None, prior: Prior | None) -> Settled:
-        return settle(best.label, model, prior)
-
-    return [stay_at_the_start(coordinates, best, again), *others]
+    return follow(coordinates, starts, settle, progress)

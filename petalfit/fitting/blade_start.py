@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from petalfit.compilation import Program
 from petalfit.components import BladePetal, parameters
-from petalfit.components.blade_petal import bend
+from petalfit.components.blade_petal import bend, profile
 from petalfit.fitting.coordinates import with_values
 from petalfit.fitting.flatten import flatten
 from petalfit.surfaces import rotation
@@ -194,10 +194,7 @@ def _outline(q: Float[np.ndarray, " n"], s: Float[np.ndarray, " n"]) -> Float[np
 
     def excess(p: np.ndarray) -> np.ndarray:
         greatest, widest, base, tip, base_taper, tip_taper = p
-        below = v < widest
-        inside = 1 - ((v - widest) / np.where(below, widest, 1 - widest)) ** 2
-        end, taper = np.where(below, base, tip), np.where(below, base_taper, tip_taper)
-        shape = end + (1 - end) * ((np.maximum(inside, 0) + 0.01) / 1.01) ** taper
+        shape = profile(v, widest, (base, tip), (base_taper, tip_taper), np)
         usual = 0.02 * (p[1:] - [0.5, 0.2, 0.2, 0.8, 0.8])
         return np.concatenate([greatest * shape / w.max() - w / w.max(), usual])
 

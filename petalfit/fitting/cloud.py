@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import jax.numpy as jnp
 import numpy as np
@@ -84,9 +84,7 @@ class ObservedCloud(AbstractObserved):
         """Mean logarithm of 1 + d², with d in hundredths of the cloud's extent."""
         term = self.look(model, None)
         distance = programs.distances(model, self.data.points, term.uv)
-        extent = 0.01 * np.linalg.norm(np.ptp(np.asarray(self.data.points), axis=0))
-        squares = (np.asarray(distance) / extent) ** 2
-        return float(np.average(np.log1p(squares), weights=np.asarray(self.data.weights)))
+        return mean_logarithm(self.data, np.asarray(distance), np.asarray(self.data.weights))
 
     def at(self, uv: Float[Array, "n 2"]) -> TangentDistance:
         """Its term with these foot points and the noise still to be estimated."""
@@ -140,10 +138,21 @@ class ObservedCloud(AbstractObserved):
         beyond = np.maximum(np.max(np.asarray(seen.beyond), axis=-1), 0.0)
         off = np.where(beyond > 0, np.copysign(np.hypot(distance, beyond), distance), distance)
         weights = np.asarray(self.data.weights)
-        total = float(np.sum(weights))
-        with np.errstate(divide="ignore"):
-            chi2 = total * float(np.log(np.sum(weights * off**2) / total))
+        chi2 = comparable(off, weights)
         return [Seen(off, weights, float(term.sigma), "length", chi2, np.asarray(term.uv))]
+
+
+def mean_logarithm(data: Data, distances: np.ndarray, weights: np.ndarray) -> float:
+    """Of 1 + d², with distances d in hundredths of the cloud's extent; small where most are."""
+    extent = 0.01 * np.linalg.norm(np.ptp(np.asarray(data.points), axis=0))
+    return float(np.average(np.log1p((distances / extent) ** 2), weights=weights))
+
+
+def comparable(distances: Float[np.ndarray, " n"], weights: Float[np.ndarray, " n"]) -> float:
+    """A χ² that compares ends of one cloud: n log of the mean squared distance."""
+    total = float(np.sum(weights))
+    with np.errstate(divide="ignore"):
+        return total * float(np.log(np.sum(weights * distances**2) / total))
 
 
 def feet(model: AbstractSurface, points: Float[Array, "n 3"]) -> Float[Array, "n 2"]:
@@ -197,19 +206,38 @@ def fit_cloud(
         starts = [*_starts(coordinates, points, weights, order, noise, progress)]
     else:
         starts = component_starts(coordinates, _whole, points, weights, order, progress)
+
+    def settle(label: str, model: AbstractSurface, prior: Prior | None) -> Settled[Model]:
+        return _settle(coordinates, label, model, points, weights, order, noise, prior)
+
+    best, *others = follow(coordinates, starts, settle, progress)
+    return [with_all_points(coordinates, best, 0, cloud), *others]
+
+
+def follow(
+    coordinates: Coordinates,
+    starts: Sequence[tuple[str, AbstractSurface]],
+    settle: Callable[[str, AbstractSurface, Prior | None], Settled],
+    progress: Progress,
+) -> list[Settled]:
+    """Where starts end, the best first; in that, what is not determined stays at the template's values.
+
+    Args:
+        coordinates: The free parameters.
+        starts: With their labels.
+        settle: From a start to its end, with what is known besides.
+        progress: Called with a line of text for each start.
+    """
     ends = []
     for label, model in starts:
         progress(f"polishing from {label}")
-        ends.append(_settle(coordinates, label, model, points, weights, order, noise))
+        ends.append(settle(label, model, None))
     best, *others = sorted(ends, key=lambda end: end.chi2)
 
-    def again(
-        model: AbstractSurface, polished: Polished | None, prior: Prior | None
-    ) -> Settled[Model]:
-        return _settle(coordinates, best.label, model, points, weights, order, noise, prior)
+    def again(model: AbstractSurface, _: Polished | None, prior: Prior | None) -> Settled:
+        return settle(best.label, model, prior)
 
-    best = stay_at_the_start(coordinates, best, again)
-    return [with_all_points(coordinates, best, 0, cloud), *others]
+    return [stay_at_the_start(coordinates, best, again), *others]
 
 
 def with_all_points(

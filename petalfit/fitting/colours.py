@@ -21,7 +21,14 @@ from petalfit.fitting import programs
 from petalfit.fitting.cloud import feet
 from petalfit.fitting.coordinates import Coordinates
 from petalfit.fitting.determined import covariance, typical_spread
-from petalfit.fitting.estimate import CLEAR_LEAD, Estimate, Start, rivals
+from petalfit.fitting.estimate import (
+    APART,
+    CLEAR_LEAD,
+    Estimate,
+    Start,
+    rivals,
+    standard_errors,
+)
 from petalfit.fitting.result import FitResult
 from petalfit.fitting.rounds import Settled
 from petalfit.fitting.summary import at_bounds
@@ -379,11 +386,11 @@ def _uncertainty(
     """Covariance and errors, infinite for what rivals deny, and these rivals."""
     names = tuple(starts[0].values)
     matrix, _ = covariance(settled, names, declared)
-    stderr = dict(zip(names, map(float, np.sqrt(np.diag(matrix))), strict=True))
+    stderr = standard_errors(names, matrix)
     close = rivals(starts, stderr, declared)
     for k, name in enumerate(names):
         apart = [abs(start.values[name] - starts[0].values[name]) for start in close]
-        if any(gap > 3 * stderr[name] for gap in apart):
+        if any(gap > APART * stderr[name] for gap in apart):
             matrix[k, :] = matrix[:, k] = np.inf
             stderr[name] = float("inf")
     return matrix, stderr, close

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from statistics import NormalDist
 
 import equinox as eqx
@@ -16,7 +16,7 @@ from petalfit.components import Parameter, parameters
 # frequencies that ribs could have leads by 2 log 200.
 CLEAR_LEAD = 20.0
 # Standard errors between two ends from which they are different.
-_APART = 3.0
+APART = 3.0
 
 
 class FitError(RuntimeError):
@@ -61,8 +61,15 @@ def rivals(
     return tuple(
         start
         for start in starts[1:]
-        if start.delta_chi2 < CLEAR_LEAD and max(apart(start, name) for name in stderr) > _APART
+        if start.delta_chi2 < CLEAR_LEAD and max(apart(start, name) for name in stderr) > APART
     )
+
+
+def standard_errors(
+    names: Sequence[str], covariance: Float64[np.ndarray, "p p"]
+) -> dict[str, float]:
+    """By name; infinite where the covariance is."""
+    return dict(zip(names, map(float, np.sqrt(np.diag(covariance))), strict=True))
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)

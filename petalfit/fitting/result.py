@@ -17,7 +17,7 @@ from petalfit.fitting.estimate import Estimate, Start, quantile
 from petalfit.fitting.targets import target_from_json, target_to_json
 from petalfit.observations import PointCloud, Silhouette, TargetError
 from petalfit.observations.atomic import atomic_path
-from petalfit.surfaces import AbstractSurface, Pose, with_value
+from petalfit.surfaces import AbstractSurface, Pose, moved, with_value
 
 if TYPE_CHECKING:
     import trimesh
@@ -170,7 +170,7 @@ class FitResult(Estimate):
 
     def mesh(self, resolution: tuple[int, int] = (65, 65)) -> trimesh.Trimesh:
         """The fitted surface as a triangle mesh with UVs, in the target's frame."""
-        return self.model.mesh(resolution).apply_transform(self.pose.matrix())
+        return moved(self.model.mesh(resolution), self.pose)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write everything as JSON, lossless; `load` gives it back. Whole or not at all."""

@@ -53,6 +53,19 @@ _CELLS = 8  # per side, that points are counted in
 _FREE = 0.05  # a step held back by less than this is as long as it wants to be
 
 
+def spacing(tree: KDTree) -> float:
+    """The side of the square that a point of a sheet has to itself, as a rule."""
+    # Six neighbours lie in a disc of six and a half points' area.
+    sixth = np.median(np.asarray(tree.query(tree.data, 7)[0])[:, 6])
+    return float(sixth * np.sqrt(np.pi / 6.5))
+
+
+def areas_around(grid: Float[np.ndarray, "n_u n_v 3"]) -> Float[np.ndarray, "n_u n_v"]:
+    """The area of a sheet around each of its nodes."""
+    sides = np.gradient(grid, axis=0), np.gradient(grid, axis=1)
+    return np.linalg.norm(np.cross(*sides), axis=-1)
+
+
 @dataclasses.dataclass(frozen=True)
 class ObservedEmptiness(AbstractObserved):
     """Where no points are.
@@ -68,36 +81,29 @@ class ObservedEmptiness(AbstractObserved):
     @classmethod
     def of(cls, points: Float[np.ndarray, "n 3"]) -> ObservedEmptiness:
         tree = KDTree(points)
-        # Six neighbours lie in a disc of six and a half points' area.
-        sixth = np.median(tree.query(points, 7)[0][:, 6])
-        return cls(tree, _SLACK * float(sixth * np.sqrt(np.pi / 6.5)))
+        return cls(tree, _SLACK * spacing(tree))
 
     def look(self, model: AbstractSurface, term: AbstractTerm | None) -> Emptiness:
         return self.around(model)[0]
 
-    def around(self, model: AbstractSurface) -> tuple[Emptiness, Float[np.ndarray, "n_u n_v"]]:
-        """The term there, and the area around each of its places."""
+    def around(
+        self, model: AbstractSurface
+    ) -> tuple[Emptiness, Float[np.ndarray, "n_u n_v"], float]:
+        """The term there, the area around each of its places, and twice its cost at a noise of 1."""
         u, v = (np.linspace(*side, n) for side, n in zip(model.domain, _NODES, strict=True))
         uv = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
         places = np.asarray(programs.places(model, uv))
-        grid = places.reshape(*_NODES, 3)
-        sides = np.gradient(grid, axis=0), np.gradient(grid, axis=1)
-        area = np.linalg.norm(np.cross(*sides), axis=-1)
-        _, nearest = self.tree.query(places)
+        area = areas_around(places.reshape(*_NODES, 3))
+        gap, nearest = map(np.asarray, self.tree.query(places))
+        weights = self.tree.n * area.ravel() / area.sum()
         term = Emptiness(
             uv=jnp.asarray(uv),
             nearest=jnp.asarray(self.tree.data[nearest]),
-            weights=jnp.asarray(self.tree.n * area.ravel() / area.sum()),
+            weights=jnp.asarray(weights),
             slack=jnp.asarray(self.slack),
             sigma=jnp.asarray(self.slack),
         )
-        return term, area
-
-    def excess(self, model: AbstractSurface, term: Emptiness) -> float:
-        """Weighted sum of the squares by which places are farther from their points than they may."""
-        places = np.asarray(programs.places(model, term.uv))
-        far = np.linalg.norm(places - np.asarray(term.nearest), axis=1) - self.slack
-        return float(np.sum(np.asarray(term.weights) * np.maximum(far, 0.0) ** 2))
+        return term, area, float(np.sum(weights * np.maximum(gap - self.slack, 0.0) ** 2))
 
     def misfit(self, model: AbstractSurface) -> float:
         return 0.0
@@ -154,11 +160,11 @@ class Sheet:
         model = coordinates.model(t)
         cloud = self.cloud.look(model, term)
         survey = programs.survey(coordinates, cloud.data, t, cloud.uv)
-        emptiness, area = self.emptiness.around(model)
+        emptiness, area, excess = self.emptiness.around(model)
         weights = np.asarray(cloud.data.weights)
         total = float(np.sum(weights))
         square = float(np.sum(weights * np.asarray(survey.distance) ** 2)) / total
-        wrong = square + self.emptiness.excess(model, emptiness) / self.count
+        wrong = square + excess / self.count
         sigma = max(float(np.sqrt(square)), 1e-12)
         beyond = np.max(np.asarray(survey.beyond), axis=-1) / sigma
         edge = float(np.sum(weights * -log_ndtr(-np.clip(beyond, -8.0, 1e3))))

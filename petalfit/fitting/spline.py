@@ -15,7 +15,7 @@ from petalfit.components.spline_petal import SEGMENTS, basis
 from petalfit.fitting import programs
 from petalfit.fitting.flatten import flatten
 from petalfit.fitting.rounds import Progress
-from petalfit.fitting.sheet import Canonical
+from petalfit.fitting.sheet import Canonical, areas_around, spacing
 from petalfit.residuals import frame
 from petalfit.residuals.contact import Frame
 from petalfit.surfaces import AbstractSurface, Pose
@@ -120,8 +120,7 @@ class _Points:
         self.points, self.weights = points, weights
         self.padded = pad_to(points, bucket(len(points)))
         self.tree = KDTree(points)
-        sixth = np.median(np.asarray(self.tree.query(points, 7)[0])[:, 6])
-        self.slack = _SLACK * float(sixth * np.sqrt(np.pi / 6.5))
+        self.slack = _SLACK * spacing(self.tree)
         side = np.linspace(0, 1, _NODES)
         nodes = np.stack(np.meshgrid(side - 0.5, side, indexing="ij"), axis=-1).reshape(-1, 2)
         self.nodes = _rows(nodes)
@@ -160,9 +159,7 @@ class _Points:
     ) -> None:
         """Nodes that lie far from all points are drawn to the nearest."""
         places = self.nodes @ control
-        grid = places.reshape(_NODES, _NODES, 3)
-        sides = np.gradient(grid, axis=0), np.gradient(grid, axis=1)
-        area = np.linalg.norm(np.cross(*sides), axis=-1).ravel()
+        area = areas_around(places.reshape(_NODES, _NODES, 3)).ravel()
         gap, nearest = map(np.asarray, self.tree.query(places))
         far = gap > self.slack
         there = self.points[nearest[far]]

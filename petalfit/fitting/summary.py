@@ -9,7 +9,7 @@ import numpy as np
 
 from petalfit.components import Parameter, Posed, bare, parameters
 from petalfit.fitting.determined import combinations, covariance
-from petalfit.fitting.estimate import Start, rivals
+from petalfit.fitting.estimate import Start, rivals, standard_errors
 from petalfit.fitting.result import Agreement, FitResult
 from petalfit.fitting.rounds import Settled
 from petalfit.observations import PointCloud, Silhouette
@@ -88,7 +88,7 @@ def summarise(
         *bounds.values(),
         *(f"{name} is not determined by this target" for name in names if not identifiable[name]),
         *(combinations(best, names, declared, found) if finite else []),
-        *_rivals(starts, dict(zip(names, np.sqrt(np.diag(matrix)), strict=True)), declared),
+        *_rivals(starts, standard_errors(names, matrix), declared),
         *(w for part, seen in zip(agreements, best.seen, strict=True)
           for w in _about(part, seen.uv, bare(best.model), noise)),
     ]  # fmt: skip
@@ -96,7 +96,7 @@ def summarise(
     pose_stderr = {}
     if isinstance(source, Posed) and in_space:
         pose = source.placement
-        errors = dict(zip(names, map(float, np.sqrt(np.diag(matrix))), strict=True))
+        errors = standard_errors(names, matrix)
         pose_stderr = {
             n: errors[n] * _pose_unit(n, source) for n in Posed.similarity if n in errors
         }
@@ -111,7 +111,7 @@ def summarise(
             f"{pose.scale:.4g} pixels"
         )
         values, matrix = _in_pixels(source, names, values, matrix)
-    stderr = dict(zip(names, map(float, np.sqrt(np.diag(matrix))), strict=True))
+    stderr = standard_errors(names, matrix)
     model = bare(source)
     for name in parameters(model):
         model = with_value(model, name, values[name])

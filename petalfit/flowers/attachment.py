@@ -2,25 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from petalfit.surfaces import AbstractSurface, Pose, Scalar, about_y, length, parameter
-
-
-def _angle(
-    default: float,
-    symbol: str,
-    bounds: tuple[float, float],
-    typical: tuple[float, float],
-    meaning: str,
-) -> Any:
-    return parameter(
-        default, symbol=symbol, unit="rad", bounds=bounds, typical=typical, meaning=meaning
-    )
+from petalfit.surfaces import AbstractSurface, Pose, Scalar, about_y, angle, length, number
 
 
 class Attachment(eqx.Module):
@@ -31,24 +17,17 @@ class Attachment(eqx.Module):
     `azimuth` (its v), moved from there by `radius` away from the axis and by `height` along it.
     """
 
-    azimuth: Scalar = _angle(0.0, "φ", (-1e6, 1e6), (0.0, 6.2832), "about the flower's axis")
-    latitude: Scalar = _angle(
+    azimuth: Scalar = angle(0.0, "φ", (-1e6, 1e6), (0.0, 6.2832), "about the flower's axis")
+    latitude: Scalar = angle(
         np.pi / 2, "u", (-1.5708, 1.5708), (0.0, 1.5708), "on the receptacle; its top is at π/2"
     )
     radius: Scalar = length(
         0.0, "ρ", (-500.0, 500.0), (0.0, 10.0), "further from the axis than the receptacle"
     )
     height: Scalar = length(0.0, "y", (-500.0, 500.0), (-5.0, 5.0), "above the receptacle")
-    opening: Scalar = _angle(0.0, "θ", (-3.2, 3.2), (0.0, 1.6), "from the flower's axis")
-    roll: Scalar = _angle(0.0, "ψ", (-6.4, 6.4), (-0.3, 0.3), "about the organ's own axis")
-    scale: Scalar = parameter(
-        1.0,
-        symbol="s",
-        unit="1",
-        bounds=(0.001, 1000.0),
-        typical=(0.5, 2.0),
-        meaning="size of one unit of the organ",
-    )
+    opening: Scalar = angle(0.0, "θ", (-3.2, 3.2), (0.0, 1.6), "from the flower's axis")
+    roll: Scalar = angle(0.0, "ψ", (-6.4, 6.4), (-0.3, 0.3), "about the organ's own axis")
+    scale: Scalar = number(1.0, "s", (0.001, 1000.0), (0.5, 2.0), "size of one unit of the organ")
 
     def pose(self, receptacle: AbstractSurface) -> Pose:
         """From the organ's frame to the flower's; for an attachment without leading axes."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import inspect
 import json
 import os
 from collections.abc import Mapping
@@ -16,7 +15,7 @@ import numpy as np
 
 from petalfit import colours, components
 from petalfit.colours import AbstractPattern, Colour, from_hex, to_hex
-from petalfit.components import AbstractAssembly, Pedicel, Posed, parameters
+from petalfit.components import AbstractAssembly, Pedicel, models, parameters
 from petalfit.flowers import phyllotaxis
 from petalfit.flowers.androecium import stamens
 from petalfit.flowers.attachment import Attachment
@@ -135,22 +134,14 @@ def _mapping(content: Any, where: str) -> Mapping[str, Any]:
     return content
 
 
-def _organ_class(name: Any, where: str) -> type[AbstractSurface]:
-    kinds = {
-        key: kind
-        for key, kind in vars(components).items()
-        if inspect.isclass(kind)
-        and issubclass(kind, AbstractSurface)
-        and kind not in (Posed, AbstractAssembly)
-    }
-    if name not in kinds:
-        raise FlowerError(f"{where}: there is no component {name!r}; there are {', '.join(kinds)}.")
-    return kinds[name]
-
-
 def _organ(entry: _Entry) -> AbstractSurface:
     """A component with its defaults and its options."""
-    kind = _organ_class(entry.take("component"), entry.where)
+    kinds, name = models(), entry.take("component")
+    if name not in kinds:
+        raise FlowerError(
+            f"{entry.where}: there is no component {name!r}; there are {', '.join(kinds)}."
+        )
+    kind = kinds[name]
     options = _mapping(entry.take("options", {}), f"{entry.where}: options")
     static = {f.name for f in dataclasses.fields(kind) if f.metadata.get("static")}
     if unknown := set(options) - static:
@@ -167,12 +158,24 @@ def _organ(entry: _Entry) -> AbstractSurface:
 def _single(content: Any, where: str) -> tuple[AbstractSurface, Colour]:
     """The receptacle, or the pedicel."""
     entry = _Entry(content, where)
-    organ = _organ(entry)
-    for path, value in _mapping(entry.take("parameters", {}), f"{where}: parameters").items():
-        organ = with_value(organ, path, checked(value, path, declared(organ, path, where), where))
+    organ = _with_parameters(_organ(entry), entry)
     colour = _colour(entry.take("colour", "#7f9a4a"), where)
     entry.finish()
     return organ, colour
+
+
+def _with_parameters(organ: Any, entry: _Entry) -> Any:
+    """An organ with the parameters that the file gives it."""
+    given = _mapping(entry.take("parameters", {}), f"{entry.where}: parameters")
+    for path, value in given.items():
+        parameter = declared(organ, path, entry.where)
+        organ = with_value(organ, path, checked(value, path, parameter, entry.where))
+    return organ
+
+
+def _require_room(organs: int) -> None:
+    """Refuses a count before there are arrays of that length."""
+    require_memory(float(np.prod(PETAL)) * organs)
 
 
 def _series(content: Any, number: int, seed: int, rng: np.random.Generator) -> Series:
@@ -199,16 +202,14 @@ def _of_a_kind(entry: _Entry, what: str) -> Series:
     kind = entry.take(what)
     entry.where = f"{kind} {what}"
     organ: Any = components.Stamen() if what == "stamens" else components.Pistil()
-    for path, value in _mapping(entry.take("parameters", {}), f"{entry.where}: parameters").items():
-        value = checked(value, path, declared(organ, path, entry.where), entry.where)
-        organ = with_value(organ, path, value)
+    organ = _with_parameters(organ, entry)
     try:
         if what == "stamens":
             count = entry.whole("count", 0, 0) or None
-            require_memory(float(np.prod(PETAL)) * (count or 1))
+            _require_room(count or 1)
             return stamens(kind, count, organ)
         carpels = entry.whole("carpels", 1, 1)
-        require_memory(float(np.prod(PETAL)) * carpels)
+        _require_room(carpels)
         return pistils(kind, carpels, organ)
     except ValueError as error:
         raise FlowerError(f"{entry.where}: {error}.") from None
@@ -225,7 +226,7 @@ def _arrangement(entry: _Entry, seed: int) -> Arrangement:
             case "whorls":
                 counts = [1] if given is None else given if isinstance(given, list) else [given]
                 _require_whole(counts)
-                require_memory(float(np.prod(PETAL)) * float(sum(counts)))
+                _require_room(sum(counts))
                 return phyllotaxis.whorls(*counts)
             case "azimuth":
                 angles = np.array(given, float)
@@ -237,7 +238,7 @@ def _arrangement(entry: _Entry, seed: int) -> Arrangement:
             case _:
                 options = dict(given) if isinstance(given, dict) else {"count": given}
                 _require_whole([options.get("count")])
-                require_memory(float(np.prod(PETAL)) * float(options["count"]))
+                _require_room(options["count"])
                 if how == "scattered":
                     options.setdefault("seed", seed)
                 return getattr(phyllotaxis, how)(**options)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import equinox as eqx
 import jax
@@ -110,7 +110,7 @@ def short(part: str) -> str:
 RECEPTACLE, PEDICEL = -1, -2
 
 
-class Part(NamedTuple):
+class Part(eqx.Module):
     """One surface of every organ of a series.
 
     Attributes:
@@ -121,8 +121,8 @@ class Part(NamedTuple):
         outer: From the organ's frame to the flower's; leaves of shape (k, ...).
     """
 
-    series: int
-    name: str
+    series: int = eqx.field(static=True)
+    name: str = eqx.field(static=True)
     surface: AbstractSurface
     inner: Pose
     outer: Pose

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from petalfit.compilation import Program
 from petalfit.flowers.flower import Flower, Part
 from petalfit.flowers.settings import FlowerError
-from petalfit.surfaces import AbstractSurface, Pose
+from petalfit.surfaces import AbstractSurface
 
 # Vertices along u and along v: petals have ribs across and a midrib, other organs are smooth.
 PETAL, ROUND = (65, 33), (25, 17)
@@ -39,6 +39,21 @@ class Grown(NamedTuple):
     inner: Float[np.ndarray, "k 4 4"]
     outer: Float[np.ndarray, "k 4 4"]
 
+    def in_flower(self) -> Grown:
+        """The same with vertices and normals in the flower's frame."""
+        matrices = self.outer @ self.inner
+        scale = np.cbrt(np.linalg.det(matrices[:, :3, :3]))[:, None, None]
+        return self._replace(
+            vertices=_turned(self.vertices, matrices[:, :3, :3]) + matrices[:, None, None, :3, 3],
+            normals=_turned(self.normals, matrices[:, :3, :3] / scale),
+        )
+
+
+def _turned(
+    vectors: Float[np.ndarray, "k n_u n_v 3"], matrices: Float[np.ndarray, "k 3 3"]
+) -> Float[np.ndarray, "k n_u n_v 3"]:
+    return vectors @ np.swapaxes(matrices, 1, 2)[:, None]
+
 
 def resolution(surface: AbstractSurface) -> tuple[int, int]:
     """Vertices along u and along v."""
@@ -51,20 +66,13 @@ def grow(flower: Flower) -> list[Grown]:
     Raises:
         FlowerError: They would not fit into memory.
     """
-    named: list[tuple[int, str]] = []
-
-    def shapes(flower: Flower) -> list[_Posed]:
-        parts = flower.parts()
-        named.extend((part.series, part.name) for part in parts)
-        return [(part.surface, part.inner, part.outer) for part in parts]
-
     with jax.enable_x64(True):
-        posed = jax.eval_shape(shapes, flower)
-        sizes = [(len(outer.translation), *resolution(surface)) for surface, _, outer in posed]
-        require_memory(float(np.sum(np.prod(sizes, axis=1, dtype=float))))
-        leaves = [np.asarray(leaf) for leaf in _leaves(flower)]
-        posed = jax.tree.unflatten(jax.tree.structure(posed), leaves)
-        return [_grown(Part(*name, *part)) for name, part in zip(named, posed, strict=True)]
+        shapes = [
+            (len(part.outer.translation), *resolution(part.surface))
+            for part in jax.eval_shape(_parts, flower)
+        ]
+        require_memory(float(np.sum(np.prod(shapes, axis=1, dtype=float))))
+        return [_grown(jax.tree.map(np.asarray, part)) for part in _placed(flower)]
 
 
 def require_memory(vertices: float) -> None:
@@ -88,11 +96,8 @@ def _free_memory() -> float:
         return 8e9
 
 
-_Posed: TypeAlias = tuple[AbstractSurface, Pose, Pose]
-
-
-def _posed_leaves(flower: Flower) -> list[Array]:
-    return jax.tree.leaves([(p.surface, p.inner, p.outer) for p in flower.parts()])
+def _parts(flower: Flower) -> list[Part]:
+    return flower.parts()
 
 
 def _sheets(surface: AbstractSurface, u: Array, v: Array) -> tuple[Array, Array]:
@@ -102,7 +107,7 @@ def _sheets(surface: AbstractSurface, u: Array, v: Array) -> tuple[Array, Array]
     return jax.vmap(sheet)(surface)
 
 
-_leaves = Program(_posed_leaves)
+_placed = Program(_parts)
 _sheet = Program(_sheets)
 
 
@@ -118,11 +123,4 @@ def _grown(part: Part) -> Grown:
         some = jax.tree.map(lambda leaf, which=which: leaf[which], part.surface)
         rows.append([np.asarray(array)[: k - first] for array in _sheet(some, u, v)])
     vertices, normals = (np.concatenate(arrays) for arrays in zip(*rows, strict=True))
-    return Grown(part, vertices, normals, _matrices(part.inner), _matrices(part.outer))
-
-
-def _matrices(pose: Pose) -> Float[np.ndarray, "k 4 4"]:
-    matrices = np.tile(np.eye(4), (len(pose.translation), 1, 1))
-    matrices[:, :3, :3] = np.asarray(pose.scale)[:, None, None] * np.asarray(pose.rotation)
-    matrices[:, :3, 3] = pose.translation
-    return matrices
+    return Grown(part, vertices, normals, part.inner.matrix(), part.outer.matrix())

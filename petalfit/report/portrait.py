@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, UInt8
 
 from petalfit.colours import Colour, to_srgb
 from petalfit.compilation import Program
-from petalfit.flowers import Flower, Grown, grow
+from petalfit.flowers import Flower, grow
 from petalfit.observations.atomic import atomic_path
 from petalfit.report.raster import Canvas, png
 
@@ -40,19 +40,12 @@ class Sheet(NamedTuple):
 
 def flower_sheets(flower: Flower) -> list[Sheet]:
     """Every surface of a flower in its frame, with its colours."""
-    return [sheet for grown in grow(flower) for sheet in _coloured(grown, flower)]
-
-
-def _coloured(grown: Grown, flower: Flower) -> list[Sheet]:
-    linear = colours_on(flower.colour(grown.part), grown.vertices.shape[1:3])
-    matrices = grown.outer @ grown.inner
-    turned = matrices[:, :3, :3] / np.cbrt(np.linalg.det(matrices[:, :3, :3]))[:, None, None]
-    return [
-        Sheet(vertices @ matrix[:3, :3].T + matrix[:3, 3], normals @ turn.T, linear)
-        for vertices, normals, matrix, turn in zip(
-            grown.vertices, grown.normals, matrices, turned, strict=True
-        )
-    ]
+    found = []
+    for grown in grow(flower):
+        linear = colours_on(flower.colour(grown.part), grown.vertices.shape[1:3])
+        placed = grown.in_flower()
+        found += [Sheet(*one, linear) for one in zip(placed.vertices, placed.normals, strict=True)]
+    return found
 
 
 def colours_on(colour: Colour, shape: tuple[int, int]) -> Float[np.ndarray, "n_u n_v 3"]:

@@ -5,7 +5,9 @@ from petalfit.surfaces.outline import Outline as Outline
 from petalfit.surfaces.outline import outline as outline
 from petalfit.surfaces.parameter import WRAPPED as WRAPPED
 from petalfit.surfaces.parameter import Parameter as Parameter
+from petalfit.surfaces.parameter import angle as angle
 from petalfit.surfaces.parameter import length as length
+from petalfit.surfaces.parameter import number as number
 from petalfit.surfaces.parameter import parameter as parameter
 from petalfit.surfaces.parameter import parameters as parameters
 from petalfit.surfaces.parameter import value_at as value_at
@@ -23,7 +25,9 @@ from petalfit.surfaces.silhouette import rings as rings
 from petalfit.surfaces.surface import AbstractSurface as AbstractSurface
 from petalfit.surfaces.surface import Domain as Domain
 from petalfit.surfaces.surface import Scalar as Scalar
+from petalfit.surfaces.surface import broadcast_floats as broadcast_floats
 from petalfit.surfaces.surface import position_and_tangents as position_and_tangents
 from petalfit.surfaces.symmetry import is_of_revolution as is_of_revolution
 from petalfit.surfaces.tessellation import grid_faces as grid_faces
 from petalfit.surfaces.tessellation import grid_uv as grid_uv
+from petalfit.surfaces.tessellation import moved as moved

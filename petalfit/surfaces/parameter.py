@@ -50,10 +50,46 @@ def length(
     fixed: bool = False,
 ) -> Any:
     """A field that is a length in the unit of the surface."""
+    return _in_unit("length", default, symbol, bounds, typical, meaning, fixed)
+
+
+def angle(
+    default: float,
+    symbol: str,
+    bounds: tuple[float, float],
+    typical: tuple[float, float],
+    meaning: str,
+    fixed: bool = False,
+) -> Any:
+    """A field that is an angle in rad."""
+    return _in_unit("rad", default, symbol, bounds, typical, meaning, fixed)
+
+
+def number(
+    default: float,
+    symbol: str,
+    bounds: tuple[float, float],
+    typical: tuple[float, float],
+    meaning: str,
+    fixed: bool = False,
+) -> Any:
+    """A field without a unit."""
+    return _in_unit("1", default, symbol, bounds, typical, meaning, fixed)
+
+
+def _in_unit(
+    unit: str,
+    default: float,
+    symbol: str,
+    bounds: tuple[float, float],
+    typical: tuple[float, float],
+    meaning: str,
+    fixed: bool,
+) -> Any:
     return parameter(
         default,
         symbol=symbol,
-        unit="length",
+        unit=unit,
         bounds=bounds,
         typical=typical,
         meaning=meaning,

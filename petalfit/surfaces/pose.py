@@ -53,11 +53,13 @@ class Pose(eqx.Module):
             jnp.asarray(self.scale * inner.scale),
         )
 
-    def matrix(self) -> Float[np.ndarray, "4 4"]:
-        """The homogeneous matrix of a pose without leading axes."""
-        matrix = np.eye(4)
-        matrix[:3, :3] = float(self.scale) * np.asarray(self.rotation)
-        matrix[:3, 3] = self.translation
+    def matrix(self) -> Float[np.ndarray, "*batch 4 4"]:
+        """Homogeneous matrices."""
+        rotation = np.asarray(self.rotation)
+        matrix = np.zeros((*rotation.shape[:-2], 4, 4))
+        matrix[..., :3, :3] = np.asarray(self.scale)[..., None, None] * rotation
+        matrix[..., :3, 3] = self.translation
+        matrix[..., 3, 3] = 1.0
         return matrix
 
 

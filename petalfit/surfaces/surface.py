@@ -67,13 +67,13 @@ class AbstractSurface(eqx.Module):
         Returns:
             Points, the broadcast shape followed by 3, in the unit of the surface's lengths.
         """
-        return self.position(*_floats(u, v))
+        return self.position(*broadcast_floats(u, v))
 
     def tangents(
         self, u: Real[ArrayLike, "..."], v: Real[ArrayLike, "..."]
     ) -> tuple[Float[Array, "... 3"], Float[Array, "... 3"]]:
         """The partial derivatives ∂S/∂u and ∂S/∂v, each of shape (..., 3)."""
-        tangent_u, tangent_v = position_and_tangents(self, *_floats(u, v))[1]
+        tangent_u, tangent_v = position_and_tangents(self, *broadcast_floats(u, v))[1]
         return tangent_u, tangent_v
 
     def normal(self, u: Real[ArrayLike, "..."], v: Real[ArrayLike, "..."]) -> Float[Array, "... 3"]:
@@ -82,7 +82,7 @@ class AbstractSurface(eqx.Module):
         Where a tangent vanishes, as ∂S/∂v does at the poles of an ellipsoid, the normal is the limit
         from inside the domain; values and first derivatives stay finite there.
         """
-        u, v = _floats(u, v)
+        u, v = broadcast_floats(u, v)
         cross = _cross(self, u, v)
         if not self.regular:
             cross = self._away_from_poles(u, v, cross)
@@ -109,7 +109,7 @@ class AbstractSurface(eqx.Module):
         self, u: Real[ArrayLike, "..."], v: Real[ArrayLike, "..."]
     ) -> Float[Array, "..."]:
         """|∂S/∂u × ∂S/∂v|, the area per unit of du dv; zero with a zero gradient at a pole."""
-        squared = jnp.sum(_cross(self, *_floats(u, v)) ** 2, -1)
+        squared = jnp.sum(_cross(self, *broadcast_floats(u, v)) ** 2, -1)
         positive = squared > 0
         return jnp.where(positive, jnp.sqrt(jnp.where(positive, squared, 1.0)), 0.0)
 
@@ -141,7 +141,8 @@ class AbstractSurface(eqx.Module):
         return silhouette(self, camera)
 
 
-def _floats(u: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
+def broadcast_floats(u: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
+    """Both as floating point arrays of one shape."""
     dtype = jnp.result_type(u, v, float)
     u, v = jnp.broadcast_arrays(jnp.asarray(u, dtype), jnp.asarray(v, dtype))
     return u, v

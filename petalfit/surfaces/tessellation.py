@@ -8,6 +8,7 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
+from petalfit.surfaces.pose import Pose
 from petalfit.surfaces.programs import position_and_normal
 from petalfit.surfaces.surface import AbstractSurface
 
@@ -46,6 +47,14 @@ def tessellate(surface: AbstractSurface, resolution: tuple[int, int] = (65, 65))
         visual=TextureVisuals(uv=grid_uv(resolution)),
         process=False,
     )
+
+
+def moved(mesh: trimesh.Trimesh, pose: Pose) -> trimesh.Trimesh:
+    """The mesh itself in another frame, its own normals turned, where trimesh would make new ones."""
+    normals = mesh.vertex_normals @ np.asarray(pose.rotation).T
+    mesh.apply_transform(pose.matrix())
+    mesh.vertex_normals = normals
+    return mesh
 
 
 def grid_faces(resolution: tuple[int, int], orientation: float) -> Int[np.ndarray, "m 3"]:
