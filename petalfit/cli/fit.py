@@ -52,7 +52,14 @@ PoseOption = Annotated[
     arg(
         name="pose",
         help="Whether the target is in the model's frame and unit, somewhere in that unit, or somewhere "
-        "in any. The last two are there for --model BladePetal or SplinePetal.",
+        "in any: rigid is there for petals, similarity for BladePetal and SplinePetal.",
+    ),
+]
+LossOption = Annotated[
+    Literal["linear", "robust"],
+    arg(
+        name="loss",
+        help="linear if all points belong to the petal; robust if there may be strays or clutter.",
     ),
 ]
 Free = Annotated[
@@ -91,6 +98,7 @@ def fit(
     cameras: Cameras = (),
     model: ModelName = "PeonyPetal",
     pose: PoseOption = "known",
+    loss: LossOption = "linear",
     free: Free = (),
     init: Init = None,
     noise: Noise = None,
@@ -121,6 +129,7 @@ def fit(
                 read if len(read) > 1 else read[0],
                 model=kind,
                 pose=pose,
+                loss=loss,
                 free=_names(free),
                 init=None if init is None else FitResult.load(init).model,
                 noise=noise,

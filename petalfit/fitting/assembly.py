@@ -10,14 +10,8 @@ from jaxtyping import Array, Float
 
 from petalfit.components import AbstractAssembly
 from petalfit.fitting import programs
-from petalfit.fitting.cloud import (
-    ObservedCloud,
-    comparable,
-    component_starts,
-    follow,
-    mean_logarithm,
-    pad,
-)
+from petalfit.fitting.cloud import ObservedCloud, comparable, mean_logarithm, pad
+from petalfit.fitting.cloud_fit import START_POINTS, component_starts, follow
 from petalfit.fitting.coordinates import Coordinates
 from petalfit.fitting.rounds import (
     AbstractObserved,
@@ -170,7 +164,10 @@ def fit_assembly(
     order = used[np.random.default_rng(seed).permutation(len(used))]
     starts = [("given", coordinates.template)]
     if not from_template:
-        starts = component_starts(coordinates, ObservedParts.of, points, weights, order, progress)
+        some = order[:START_POINTS]
+        starts = component_starts(
+            coordinates, ObservedParts.of, points[some], weights[some], progress
+        )
 
     def settle(label: str, model: AbstractSurface, prior: Prior | None) -> Settled:
         polished = minimise(

@@ -90,17 +90,23 @@ class Coordinates(eqx.Module, Generic[Model]):
     def spread(self, count: int) -> Float[np.ndarray, "m p"]:
         """Places evenly spread over the typical ranges; what is held stays at the template's values."""
         typical = np.array([parameters(self.template)[name].typical for name in self.free])
-        # Additive recurrence by powers of the root of x^(p + 1) = x + 1.
-        root = 2.0
-        for _ in range(64):
-            root = (1 + root) ** (1 / (len(self.free) + 1))
-        steps = np.outer(np.arange(count), root ** -np.arange(1.0, len(self.free) + 1))
-        values = typical[:, 0] + (typical[:, 1] - typical[:, 0]) * ((0.5 + steps) % 1.0)
+        evenly = evenly_spread(count, len(self.free))
+        values = typical[:, 0] + (typical[:, 1] - typical[:, 0]) * evenly
         return np.where(self.active > 0, self.place(values), self.inverse(self.template))
 
     def gather(self, tree: eqx.Module) -> Array:
         """Leaves of the free parameters of a pytree like the model, stacked on the last axis."""
         return jnp.stack([value_at(tree, name) for name in self.free], axis=-1)
+
+
+def evenly_spread(count: int, dimension: int) -> Float[np.ndarray, "n d"]:
+    """Points that fill the unit cube evenly, from its middle."""
+    # Additive recurrence by powers of the root of x^(d + 1) = x + 1.
+    root = 2.0
+    for _ in range(64):
+        root = (1 + root) ** (1 / (dimension + 1))
+    steps = np.outer(np.arange(count), root ** -np.arange(1.0, dimension + 1))
+    return (0.5 + steps) % 1.0
 
 
 def with_values(model: Model, values: Mapping[str, Scalar | np.ndarray]) -> Model:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import math
 import os
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any, NamedTuple, TypeAlias, overload
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 from petalfit.colours import AbstractPattern, from_hex
 from petalfit.components import (
@@ -22,7 +22,7 @@ from petalfit.components import (
     parameters,
 )
 from petalfit.fitting.assembly import fit_assembly
-from petalfit.fitting.cloud import fit_cloud
+from petalfit.fitting.cloud_fit import fit_cloud
 from petalfit.fitting.colours import ColourFit, colours_on, fit_colours
 from petalfit.fitting.estimate import FitError
 from petalfit.fitting.joint import fit_joint
@@ -30,8 +30,8 @@ from petalfit.fitting.result import Agreement, FitResult
 from petalfit.fitting.rounds import Settled
 from petalfit.fitting.sheet import fit_sheet
 from petalfit.fitting.spline import fit_spline
-from petalfit.fitting.summary import summarise
-from petalfit.fitting.targets import as_targets
+from petalfit.fitting.summary import strays, summarise, systematic
+from petalfit.fitting.targets import as_targets, each_once, with_noise_of_points
 from petalfit.observations import (
     IMAGE_SUFFIXES,
     Camera,
@@ -76,7 +76,7 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
     camera: Camera | None = None,
     free: Iterable[str] | None = None,
     init: Fittable | None = None,
-    noise: float | None = None,
+    noise: float | Float[np.ndarray, " n"] | None = None,
     loss: str = "linear",
     seed: int = 0,
     throw: bool = True,
@@ -102,8 +102,10 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
         free: Names of the parameters to fit; by default all that the model does not declare fixed.
         init: An instance to start from. Without it the fit finds its own start.
         noise: Standard deviation σ of the clouds' noise, in their unit; estimated if None. That of
-            silhouettes is always estimated.
-        loss: "linear": least squares, right for noise without gross outliers.
+            silhouettes is always estimated. An array has one σ for each point of a cloud.
+        loss: "linear": least squares, right for noise without gross outliers. "robust": points may
+            be strays or clutter; each counts by the probability that it belongs to the surface, which
+            is in the result's weights.
         seed: Of random choices; the result hardly depends on it.
         throw: Raise `FitError` if the solver fails; else return a result with `converged` False.
         progress: Called with a line of text whenever a stage of the fit begins.
@@ -123,6 +125,8 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
     template, names = _configuration(model, free, init)
     _check_options(pose, loss, noise)
     if isinstance(template, AbstractPattern):
+        if isinstance(noise, np.ndarray):
+            raise TargetError("the noise of a pattern is one number.")
         result = fit_colours(
             template,
             names,
@@ -136,15 +140,18 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
         if throw and not result.converged:
             raise FitError(result.message, result)
         return result
-    targets = as_targets(target, camera)
+    targets = [each_once(part) for part in as_targets(target, camera)]
+    targets, noise = with_noise_of_points(targets, noise)
     _check_pose(template, pose, targets, init)
+    _check_loss(template, loss, targets)
     if isinstance(template, SplinePetal):
-        return _fit_spline(targets, pose, progress or (lambda text: None))
+        return _fit_spline(targets, pose, loss, progress or (lambda text: None))
     fitted = run(
         template,
         names,
         targets,
         pose=pose,
+        loss=loss,
         noise=noise,
         from_template=init is not None,
         seed=seed,
@@ -176,7 +183,10 @@ def _as_texture(
 
 
 def _fit_spline(
-    targets: list[PointCloud | Silhouette], pose: str, progress: Callable[[str], None]
+    targets: list[PointCloud | Silhouette],
+    pose: str,
+    loss: str,
+    progress: Callable[[str], None],
 ) -> FitResult:
     """A spline sheet, whose coefficients are too many for a table of parameters."""
     cloud = targets[0]
@@ -189,13 +199,17 @@ def _fit_spline(
             f"{_FEWEST_FOR_SPLINES} or more, or fit a BladePetal."
         )
     with jax.enable_x64(True):
-        found = fit_spline(cloud.points, weights, pose, progress)
+        found = fit_spline(cloud.points, weights, pose, loss, progress)
+    weights = weights * found.members
     noise = float(np.sqrt(np.average(found.distance**2, weights=weights)))
     coefficients = np.size(found.model.offsets)
+    agreement = Agreement(cloud, found.distance, weights, noise, found.uv)
+    warnings = systematic(agreement, found.model)
+    message = f"{coefficients} coefficients, smoothed in {found.rounds} rounds; they have no errors"
     return FitResult(
         model=found.model,
         pose=found.pose,
-        agreements=(Agreement(cloud, found.distance, weights, noise),),
+        agreements=(agreement,),
         values={name: float(getattr(found.model, name)) for name in parameters(found.model)},
         stderr={},
         identifiable={},
@@ -203,8 +217,8 @@ def _fit_spline(
         covariance=np.zeros((0, 0)),
         converged=True,
         status="converged",
-        message=f"{coefficients} coefficients, smoothed in {found.rounds} rounds; they have no errors",
-        warnings=(),
+        message="; ".join([message, *strays(agreement), *warnings]),
+        warnings=tuple(warnings),
         steps=found.rounds,
         starts=(),
     )
@@ -232,6 +246,7 @@ def run(
     targets: list[PointCloud | Silhouette],
     *,
     pose: str = "known",
+    loss: str = "linear",
     noise: float | None,
     from_template: bool,
     seed: int,
@@ -246,6 +261,7 @@ def run(
         names: Its free parameters.
         targets: All that was seen.
         pose: "known", "rigid" or "similarity".
+        loss: "linear" or "robust".
         noise: Of the clouds; estimated if None.
         from_template: Start at the template instead of searching.
         seed: Of random choices.
@@ -271,13 +287,16 @@ def run(
             _check_count(weights, names)
             if isinstance(template, BladePetal):
                 posed, names, ends = fit_sheet(
-                    template, names, cloud.points, weights, pose=pose, **options
+                    template, names, cloud.points, weights, pose=pose, loss=loss, **options
                 )
                 return Fitted(posed, names, targets, ends)
             if isinstance(template, AbstractAssembly):
                 ends = fit_assembly(template, names, cloud.points, weights, **options)
             else:
-                ends = fit_cloud(template, names, cloud.points, weights, **options)
+                posed, names, ends = fit_cloud(
+                    template, names, cloud.points, weights, pose=pose, loss=loss, **options
+                )
+                return Fitted(posed, names, targets, ends)
             return Fitted(template, names, targets, ends)
         if isinstance(template, AbstractAssembly):
             raise TargetError(
@@ -360,13 +379,15 @@ def _configuration(
     return template, names
 
 
-def _check_options(pose: str, loss: str, noise: float | None) -> None:
+def _check_options(pose: str, loss: str, noise: float | np.ndarray | None) -> None:
     if pose not in ("known", "rigid", "similarity"):
         raise ValueError(f"pose must be 'known', 'rigid' or 'similarity'; received {pose!r}")
-    if loss != "linear":
-        raise ValueError(f"loss must be 'linear'; received {loss!r}")
-    if noise is not None and not (math.isfinite(noise) and noise > 0):
-        raise ValueError(f"noise must be a positive length or None; received {noise}")
+    if loss not in ("linear", "robust"):
+        raise ValueError(f"loss must be 'linear' or 'robust'; received {loss!r}")
+    if noise is not None and not np.all(np.isfinite(noise) & (np.asarray(noise) > 0)):
+        raise ValueError(
+            f"noise must be a positive length, one for each point, or None; received {noise}"
+        )
 
 
 def _check_pose(
@@ -379,15 +400,37 @@ def _check_pose(
     if pose == "known":
         return
     kind = type(template).__name__
-    if not isinstance(template, BladePetal | SplinePetal):
+    if not isinstance(template, PeonyPetal | BladePetal | SplinePetal):
         raise TargetError(
-            f"pose={pose!r} is there for BladePetal and SplinePetal; bring a {kind} into "
+            f"pose={pose!r} is there for PeonyPetal, BladePetal and SplinePetal; bring a {kind} into "
             "its own frame."
+        )
+    if isinstance(template, PeonyPetal) and pose == "similarity":
+        raise TargetError(
+            "a PeonyPetal has wave lengths of its own unit: use pose='rigid' with a target in that "
+            "unit, or fit a BladePetal."
         )
     if len(targets) > 1 or not isinstance(targets[0], PointCloud):
         raise TargetError(f"pose={pose!r} is there for one cloud; give the others' pose.")
     if init is not None:
         raise TargetError(f"init has no pose to start from; leave it out with pose={pose!r}.")
+
+
+def _check_loss(
+    template: AbstractSurface, loss: str, targets: list[PointCloud | Silhouette]
+) -> None:
+    """What strays can be found in."""
+    if loss == "linear":
+        return
+    if len(targets) > 1 or not isinstance(targets[0], PointCloud):
+        raise TargetError(
+            "loss='robust' is there for one cloud; masks discount strays by themselves."
+        )
+    if isinstance(template, AbstractAssembly):
+        raise TargetError(
+            f"loss='robust' is there for components of one surface; a {type(template).__name__} has "
+            "several."
+        )
 
 
 def _check_count(weights: np.ndarray, names: tuple[str, ...]) -> None:

@@ -10,7 +10,8 @@ from jaxtyping import Float
 
 from petalfit.components import PeonyPetal, Posed, bare, parameters
 from petalfit.fitting import programs
-from petalfit.fitting.cloud import ObservedCloud, fit_cloud, rib_starts, with_all_points
+from petalfit.fitting.cloud import ObservedCloud, with_all_points
+from petalfit.fitting.cloud_fit import fit_cloud, rib_starts
 from petalfit.fitting.coordinates import Coordinates, with_values
 from petalfit.fitting.determined import DETERMINED, sizes, stay_at_the_start, typical_spread
 from petalfit.fitting.peony_start import FREQUENCIES, RIBS, RibBasin, rib_basins, rib_waves
@@ -173,7 +174,7 @@ def _from_clouds(
                 "parameters: give more points, or name fewer parameters in free."
             )
         return
-    starts = fit_cloud(
+    _, _, starts = fit_cloud(
         coordinates.template,
         coordinates.free,
         np.concatenate(points),

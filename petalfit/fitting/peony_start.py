@@ -11,11 +11,12 @@ from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Bool, Float
 
 from petalfit.components import PeonyPetal, parameters
 from petalfit.fitting import programs
-from petalfit.fitting.coordinates import with_values
+from petalfit.fitting.coordinates import Coordinates, Numbers, evenly_spread, with_values
+from petalfit.residuals import Data
 
 OUTLINE = ("a_x", "b_y", "c")
 HEIGHTS = ("c_z", "dx", "dy", "midrib_height", "tip_curl")
@@ -32,10 +33,6 @@ FREQUENCIES = np.arange(2.0, 56.0, 0.25)
 _TYPICAL = {name: parameters(PeonyPetal)[name].typical for name in OUTLINE}
 _LOW, _HIGH = np.array(list(_TYPICAL.values())).T
 _BOUNDS = np.array([parameters(PeonyPetal)[name].bounds for name in OUTLINE]).T
-# Additive recurrence by powers of the root of x⁴ = x + 1, which fills the cube evenly, from its middle.
-_EVENLY = (
-    0.5 + np.outer(np.arange(_BATCH * _GENERATIONS[0]), 1.2207440846057596 ** -np.arange(1.0, 4.0))
-) % 1.0
 _EDGE = np.linspace(-0.5, 0.5, 25)
 _OUTLINE_UV = np.concatenate(
     [
@@ -49,6 +46,48 @@ _OUTLINE_UV = np.concatenate(
 def flat(petal: PeonyPetal) -> PeonyPetal:
     """The petal with nothing rising from the plane z = 0."""
     return with_values(petal, dict.fromkeys((*HEIGHTS, "rib_amplitude"), 0.0))
+
+
+class OutlineSearch(NamedTuple):
+    """Candidates for a_x, b_y and c: those that are not free keep the petal's values.
+
+    Attributes:
+        plane: The petal with nothing rising from the plane.
+        given: Its values.
+        moves: Which of them are free.
+    """
+
+    plane: PeonyPetal
+    given: Float[np.ndarray, "3"]
+    moves: Bool[np.ndarray, "3"]
+
+    @classmethod
+    def of(cls, petal: PeonyPetal, free: Collection[str]) -> OutlineSearch:
+        """Of a petal's outline."""
+        given = np.array([float(getattr(petal, name)) for name in OUTLINE])
+        return cls(flat(petal), given, np.isin(OUTLINE, [*free]))
+
+    @property
+    def middle(self) -> Float[np.ndarray, "3"]:
+        """Of the typical ranges."""
+        return np.where(self.moves, 0.5 * (_LOW + _HIGH), self.given)
+
+    def around(
+        self, values: Float[np.ndarray, "3"], part: float, batches: int, others: int = 0
+    ) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k others"]]:
+        """Values evenly spread over a part of the typical ranges, and so many other numbers in (0, 1)."""
+        evenly = evenly_spread(batches * _BATCH, 3 + others)
+        spread = self.moves * (_HIGH - _LOW) * part
+        return np.clip(values + spread * (evenly[:, :3] - 0.5), *_BOUNDS), evenly[:, 3:]
+
+    def edges(self, values: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "k m 2"]:
+        """Places along the outlines."""
+        outlines = [
+            _repeated(self.plane, dict(zip(OUTLINE, batch.T, strict=True)))
+            for batch in np.split(values, len(values) // _BATCH)
+        ]
+        places = [np.asarray(programs.positions(batch, _OUTLINE_UV)) for batch in outlines]
+        return np.concatenate(places)[..., :2]
 
 
 def fit_outline(
@@ -72,20 +111,12 @@ def fit_outline(
     # The farthest few of the points may be strays.
     target = np.sort(along(points), axis=0)[-(1 + len(points) // 128)]
     tolerance = 0.01 * np.max(np.abs(target))
-    given = np.array([float(getattr(petal, name)) for name in OUTLINE])
-    moves = np.isin(OUTLINE, [*free])
-    best = np.where(moves, 0.5 * (_LOW + _HIGH), given)
-    plane, score = flat(petal), np.inf
+    search, score = OutlineSearch.of(petal, free), np.inf
+    best = search.middle
     for k, batches in enumerate(_GENERATIONS):
-        spread = moves * (_HIGH - _LOW) * 0.3**k
-        candidates = np.clip(best + spread * (_EVENLY[: batches * _BATCH] - 0.5), *_BOUNDS)
-        scores = []
-        for batch in np.split(candidates, batches):
-            outlines = _repeated(plane, dict(zip(OUTLINE, batch.T, strict=True)))
-            edge = np.asarray(programs.positions(outlines, _OUTLINE_UV))
-            gap = (np.max(along(edge), axis=1) - target) / tolerance
-            scores.append(np.mean(np.log1p(gap**2), axis=-1))
-        scores = np.concatenate(scores)
+        candidates, _ = search.around(best, 0.3**k, batches)
+        gap = (np.max(along(search.edges(candidates)), axis=1) - target) / tolerance
+        scores = np.mean(np.log1p(gap**2), axis=-1)
         best, score = candidates[np.argmin(scores)], np.min(scores)
     return with_values(petal, dict(zip(OUTLINE, best, strict=True))), bool(score < _COMPLETE)
 
@@ -94,6 +125,44 @@ def _repeated(petal: PeonyPetal, values: dict[str, np.ndarray]) -> PeonyPetal:
     """A batch of petals that differ in the given values."""
     same = {name: np.full(_BATCH, float(value)) for name, value in vars(petal).items()}
     return with_values(petal, same | values)
+
+
+def straight_below(petal: PeonyPetal, points: Float[Numbers, "n 3"]) -> Float[Array, "n 2"]:
+    """(u, v) of a petal straight below or above the points."""
+    plane = flat(petal)
+    below = np.asarray(points) * np.array([1.0, 1.0, 0.0])
+    return programs.refine(plane, below, programs.nearest(plane, below), 6)
+
+
+class Heights(NamedTuple):
+    """How high points lie above a petal's plane, and what parameters could raise it.
+
+    Attributes:
+        names: The amplitudes that are free.
+        basis: The height that a unit of each gives at every point's place, shape (n, k).
+        above: Of the points.
+        uv: Their places, straight below.
+    """
+
+    names: tuple[str, ...]
+    basis: Float[np.ndarray, "n k"]
+    above: Float[np.ndarray, " n"]
+    uv: Float[Array, "n 2"]
+
+    @classmethod
+    def of(cls, petal: PeonyPetal, free: Collection[str], data: Data) -> Heights:
+        """Above a petal's plane, whatever its amplitudes."""
+        names = tuple(name for name in HEIGHTS if name in free)
+        plane = with_values(petal, dict.fromkeys((*names, "rib_amplitude"), 0.0))
+        uv = straight_below(plane, data.points)
+        here = Coordinates.of(plane, names)
+        t = here.inverse(plane)
+        seen = programs.survey(here, data, t, uv)
+        # Straight above its foot a point has the distance n_z (z - S_z), S_z linear in the heights.
+        n_z = np.asarray(seen.normal)[:, 2]
+        n_z = np.where(np.abs(n_z) > 1e-3, n_z, np.inf)
+        basis = -np.asarray(seen.slopes) / here.slopes(t) / n_z[:, None]
+        return cls(names, basis, np.asarray(seen.distance) / n_z, uv)
 
 
 def fit_amplitudes(
@@ -128,18 +197,20 @@ class RibBasin(NamedTuple):
 def rib_periodogram(
     frequency: float | None,
     distance: Float[np.ndarray, " n"],
-    normal: Float[np.ndarray, "n 3"],
+    slope: Float[np.ndarray, " n"],
     weights: Float[np.ndarray, " n"],
     uv: Float[np.ndarray, "n 2"],
+    slopes: Float[np.ndarray, "n p"],
 ) -> list[RibBasin]:
     """Frequencies that explain best the normal distances to a petal without ribs, the best first.
 
     Args:
         frequency: The only one to look at, if it is known.
         distance: Normal distances of the cloud to the petal.
-        normal: Unit normals of the petal at the foot points.
+        slope: How much of a height the distance is: the normal's part along the petal's z axis.
         weights: Weight of every point.
         uv: Foot points.
+        slopes: Of the distance, by the petal's other parameters, which are free to follow.
 
     Returns:
         From one to `BASINS` peaks.
@@ -148,9 +219,13 @@ def rib_periodogram(
     scale = np.sum(weights * np.abs(distance)) / np.sum(weights) + 1e-300
     robust = weights / (1 + (distance / (3 * scale)) ** 2)
     frequencies = FREQUENCIES if frequency is None else np.array([frequency])
-    waves = normal[:, 2] * rib_waves(uv, frequencies)
-    covariance, power = waves @ (robust * distance), waves**2 @ robust + 1e-300
-    left = np.sum(robust * distance**2) - np.max(covariance**2 / power)
+    root = np.sqrt(robust)
+    waves, rest = root * slope * rib_waves(uv, frequencies), root * distance
+    # What the other parameters can explain is not for the ribs to explain.
+    basis = np.linalg.qr(root[:, None] * slopes)[0]
+    waves, rest = waves - (waves @ basis) @ basis.T, rest - basis @ (basis.T @ rest)
+    covariance, power = waves @ rest, np.sum(waves**2, axis=1) + 1e-300
+    left = np.sum(rest**2) - np.max(covariance**2 / power)
     variance = max(left / np.sum(robust), 1e-300)
     return rib_basins(frequencies, covariance, power, variance)
 

@@ -32,6 +32,8 @@ def with_profile(
             f"{name!r} was not fitted; profiles can be had of "
             f"{', '.join(n for n in result.names if n in own)}."
         )
+    if result.pose_stderr:
+        raise TargetError("profiles are there for targets of a known pose.")
     if points < 5:
         raise ValueError(f"a profile needs at least 5 points; received {points}")
     tell = progress or (lambda text: None)

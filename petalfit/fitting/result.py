@@ -9,11 +9,12 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 
 from petalfit import components
 from petalfit.components import Parameter, Posed, parameters
 from petalfit.fitting.estimate import Estimate, Start, quantile
+from petalfit.fitting.misfit import MisfitMap
 from petalfit.fitting.targets import target_from_json, target_to_json
 from petalfit.observations import PointCloud, Silhouette, TargetError
 from petalfit.observations.atomic import atomic_path
@@ -73,12 +74,32 @@ class Agreement:
             it), in pixels. Shape (n,).
         weights: The weight every datum had in the fit, shape (n,).
         noise: Standard deviation of the distances, given or estimated, in their unit.
+        uv: Foot points of a cloud on a single surface, shape (n, 2); else None.
     """
 
     target: PointCloud | Silhouette
     distances: Float64[np.ndarray, " n"]
     weights: Float64[np.ndarray, " n"]
     noise: float
+    uv: Float64[np.ndarray, "n 2"] | None = None
+
+    @property
+    def used(self) -> Bool[np.ndarray, " n"]:
+        """Which data have a weight, and are not taken for strays: they kept at least half of it."""
+        positive = self.weights > 0
+        if isinstance(self.target, Silhouette):
+            return positive
+        given = self.target.weights
+        return positive & (self.weights >= 0.5 * (1.0 if given is None else given))
+
+    @property
+    def strays(self) -> int:
+        """How many points have a weight, but more likely belong to something else."""
+        if isinstance(self.target, Silhouette):
+            return 0
+        given = self.target.weights
+        count = len(self.target) if given is None else np.count_nonzero(given)
+        return int(count - np.count_nonzero(self.used))
 
     @property
     def rms(self) -> float:
@@ -120,6 +141,15 @@ class FitResult(Estimate):
     def rms(self) -> float:
         """Root mean square distance of the first target's data to the surface, in its unit."""
         return self.agreements[0].rms
+
+    @property
+    def misfit(self) -> MisfitMap | None:
+        """Where the first target's points lie off the surface together; None for a silhouette."""
+        part = self.agreements[0]
+        if part.uv is None:
+            return None
+        weights = np.where(part.used, part.weights, 0.0)
+        return MisfitMap.of(self.model.domain, part.uv, part.distances, weights)
 
     @property
     def distances(self) -> Float64[np.ndarray, " n"]:
@@ -226,6 +256,7 @@ class FitResult(Estimate):
                 "distances": part.distances,
                 "weights": part.weights,
                 "noise": part.noise,
+                "uv": part.uv,
             }
             for part in self.agreements
         ]
@@ -276,6 +307,7 @@ class FitResult(Estimate):
                         np.array(part["distances"], float),
                         np.array(part["weights"], float),
                         part["noise"],
+                        None if part.get("uv") is None else np.array(part["uv"], float),
                     )
                     for part in fields["agreements"]
                 ),

@@ -11,15 +11,18 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
 from scipy.special import log_ndtr
 
 from petalfit.components import BladePetal, Posed
 from petalfit.fitting import programs
 from petalfit.fitting.blade_start import BladeStart, blade_starts
+from petalfit.fitting.canonical import Canonical
 from petalfit.fitting.cloud import ObservedCloud, pad, with_all_points
 from petalfit.fitting.coordinates import Coordinates, with_values
+from petalfit.fitting.patches import Patches
+from petalfit.fitting.robust import Clutter, beside
 from petalfit.fitting.rounds import (
     AbstractObserved,
     Account,
@@ -31,6 +34,7 @@ from petalfit.fitting.rounds import (
     whiten,
 )
 from petalfit.fitting.solve import Prior
+from petalfit.fitting.strays import on_sheets
 from petalfit.observations import PointCloud
 from petalfit.residuals import AbstractTerm, Emptiness, TangentDistance
 from petalfit.surfaces import AbstractSurface
@@ -44,12 +48,13 @@ _LATER = ("tip_roll", "margin_curl", "keel", "tip_edge", "base_edge", "skew")
 _ROUGH, _FINE = 10, 30  # rounds
 # A start whose χ² is worse than the best's by more than this after rough rounds is not followed.
 _HOPELESS = 0.15  # of the number of points
-_NODES = (25, 33)  # of the surface, that must lie near points
 _SLACK = 1.5  # spacings of the points
 _SETTLED = 0.3  # √χ² of a round's gain
 _STUCK = 50.0
 _JITTER = 0.01
 _CELLS = 8  # per side, that points are counted in
+_CLEARINGS, _AGAIN = 3, 6
+_UNCHANGED = 0.002  # of the points
 _FREE = 0.05  # a step held back by less than this is as long as it wants to be
 
 
@@ -58,12 +63,6 @@ def spacing(tree: KDTree) -> float:
     # Six neighbours lie in a disc of six and a half points' area.
     sixth = np.median(np.asarray(tree.query(tree.data, 7)[0])[:, 6])
     return float(sixth * np.sqrt(np.pi / 6.5))
-
-
-def areas_around(grid: Float[np.ndarray, "n_u n_v 3"]) -> Float[np.ndarray, "n_u n_v"]:
-    """The area of a sheet around each of its nodes."""
-    sides = np.gradient(grid, axis=0), np.gradient(grid, axis=1)
-    return np.linalg.norm(np.cross(*sides), axis=-1)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,10 +89,7 @@ class ObservedEmptiness(AbstractObserved):
         self, model: AbstractSurface
     ) -> tuple[Emptiness, Float[np.ndarray, "n_u n_v"], float]:
         """The term there, the area around each of its places, and twice its cost at a noise of 1."""
-        u, v = (np.linspace(*side, n) for side, n in zip(model.domain, _NODES, strict=True))
-        uv = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
-        places = np.asarray(programs.places(model, uv))
-        area = areas_around(places.reshape(*_NODES, 3))
+        uv, places, area = Patches.of(model)
         gap, nearest = map(np.asarray, self.tree.query(places))
         weights = self.tree.n * area.ravel() / area.sum()
         term = Emptiness(
@@ -149,9 +145,17 @@ class Sheet:
     count: int
 
     @classmethod
-    def of(cls, points: np.ndarray, weights: np.ndarray, noise: float | None) -> Sheet:
-        cloud = ObservedCloud(pad(points, weights, noise))
-        return cls(cloud, ObservedEmptiness.of(points), len(points))
+    def of(
+        cls,
+        points: Float[np.ndarray, "n 3"],
+        weights: Float[np.ndarray, " n"],
+        noise: float | None,
+        members: Float[np.ndarray, " n"] | None = None,
+    ) -> Sheet:
+        """Of points, each with the probability that it belongs to the sheet if they may not all do."""
+        members = np.ones(len(points)) if members is None else members
+        cloud = ObservedCloud(pad(points, weights * members, noise))
+        return cls(cloud, ObservedEmptiness.of(points[members > 0.5]), len(points))
 
     def place(
         self, coordinates: Coordinates, t: Float[np.ndarray, " p"], term: AbstractTerm | None
@@ -229,6 +233,7 @@ def fit_sheet(
     weights: Float[np.ndarray, " n"],
     *,
     pose: str,
+    loss: str,
     noise: float | None,
     from_template: bool,
     seed: int,
@@ -242,6 +247,7 @@ def fit_sheet(
         points: Shape (n, 3), finite.
         weights: Shape (n,), not all zero.
         pose: "known", "rigid" or "similarity".
+        loss: "linear" or "robust".
         noise: σ, or None to estimate it.
         from_template: Start at the template instead of searching; with a known pose only.
         seed: Of the choice of points for the start.
@@ -256,6 +262,9 @@ def fit_sheet(
     order = frame.order(points[used], seed)
     own, mass = frame.into(points[used])[order], weights[used][order]
     noise = None if noise is None else noise / frame.unit
+    clutter = Clutter.around(own) if loss == "robust" else None
+    likely = np.ones(len(own), bool) if clutter is None else on_sheets(own)
+    sheets, masses = own[likely], mass[likely]
     if pose == "similarity":
         free = tuple(name for name in free if name != "length")
     pose_names = {"known": (), "rigid": Posed.rigid, "similarity": Posed.similarity}[pose]
@@ -263,9 +272,9 @@ def fit_sheet(
     starts: list[tuple[str, AbstractSurface]] = [("given", template)]
     if not from_template:
         progress("laying it flat")
-        found = blade_starts(template, free, own[:_SOME], pose != "known")[:_FOLLOWED]
+        found = blade_starts(template, free, sheets[:_SOME], pose != "known")[:_FOLLOWED]
         starts = [(start.label, _started(start, pose)) for start in found]
-    rough = Sheet.of(own[:_ROUGHLY], mass[:_ROUGHLY], noise)
+    rough = Sheet.of(sheets[:_ROUGHLY], masses[:_ROUGHLY], noise)
     ends = []
     for label, model in starts:
         progress(f"rough steps from {label}")
@@ -273,19 +282,86 @@ def fit_sheet(
         place, _, _ = rough.descend(coordinates.holding(_LATER), model, _ROUGH, 3.0)
         ends.append((place.cost, label, coordinates.model(place.t)))
     ends.sort(key=lambda end: end[0])
-    whole = Sheet.of(own, mass, noise)
     settled = []
     for cost, label, model in ends:
         if cost - ends[0][0] < _HOPELESS * len(rough.cloud.data.points):
             progress(f"polishing from {label}")
             coordinates = Coordinates.of(model, names)
-            place, number, moved = whole.descend(coordinates, model, _FINE, _SETTLED)
-            settled.append(_finish(whole, coordinates, label, place, number, moved))
+            settled.append(_settle(coordinates, label, model, own, mass, noise, clutter, likely))
     settled.sort(key=lambda end: end.chi2)
     ends = [_in_target(end, names, frame, order) for end in settled]
     cloud = PointCloud(points, weights=weights)
     best = with_all_points(Coordinates.of(ends[0].model, names), ends[0], 0, cloud)
     return best.model, names, [best, *ends[1:]]
+
+
+class _Descended(NamedTuple):
+    """Where a descent ended.
+
+    Attributes:
+        sheet: With the weights of its points there.
+        place: There.
+        rounds: How many there were.
+        moved: How much the last one changed, in √χ².
+        log_likelihood: Of the points among clutter; None if all belong to the sheet.
+    """
+
+    sheet: Sheet
+    place: _Place
+    rounds: int
+    moved: float
+    log_likelihood: float | None
+
+
+def _descended(
+    coordinates: Coordinates,
+    model: AbstractSurface,
+    points: Float[np.ndarray, "n 3"],
+    weights: Float[np.ndarray, " n"],
+    noise: float | None,
+    clutter: Clutter | None,
+    members: Float[np.ndarray, " n"],
+    rounds: int,
+) -> _Descended:
+    """Steps from a model; among clutter some more whenever other points belong to the sheet."""
+    sheet = Sheet.of(points, weights, noise, members)
+    place, number, moved = sheet.descend(coordinates, model, rounds, _SETTLED)
+    if clutter is None:
+        return _Descended(sheet, place, number, moved, None)
+    clearings = 0
+    while True:
+        model, clearings = coordinates.model(place.t), clearings + 1
+        distance, beyond = beside(coordinates, sheet.cloud, model, place.cloud, len(points))
+        found = clutter.mixture(model, distance, beyond, weights, noise)
+        changed, members = float(np.mean(np.abs(found.members - members))), found.members
+        sheet = Sheet.of(points, weights, noise, members)
+        place, more, moved = sheet.descend(coordinates, model, _AGAIN, _SETTLED)
+        number += more
+        if changed < _UNCHANGED or clearings == _CLEARINGS:
+            return _Descended(sheet, place, number, moved, found.log_likelihood)
+
+
+def _settle(
+    coordinates: Coordinates,
+    label: str,
+    model: AbstractSurface,
+    points: Float[np.ndarray, "n 3"],
+    weights: Float[np.ndarray, " n"],
+    noise: float | None,
+    clutter: Clutter | None,
+    likely: Bool[np.ndarray, " n"],
+) -> Settled:
+    """All the way from a start, on ever more points."""
+    members, rounds, number = likely.astype(float), _FINE, 0
+    if len(points) > 2 * _SOME:
+        some = (points[:_SOME], weights[:_SOME], noise, clutter, members[:_SOME])
+        near = _descended(coordinates, model, *some, rounds)
+        model, rounds, number = coordinates.model(near.place.t), _AGAIN, near.rounds
+    end = _descended(coordinates, model, points, weights, noise, clutter, members, rounds)
+    settled = _finish(end.sheet, coordinates, label, end.place, number + end.rounds, end.moved)
+    if end.log_likelihood is None:
+        return settled
+    return dataclasses.replace(settled, chi2=-2 * end.log_likelihood)
 
 
 def _started(start: BladeStart, pose: str) -> AbstractSurface:
@@ -297,44 +373,6 @@ def _started(start: BladeStart, pose: str) -> AbstractSurface:
         return blade
     unit = start.scale if pose == "similarity" else 1.0
     return Posed(blade, start.rotation, start.translation, unit)
-
-
-@dataclasses.dataclass(frozen=True)
-class Canonical:
-    """A frame of the cloud's own, so that a fit does not depend on the frame that it came in.
-
-    Attributes:
-        axes: Its axes in the target's frame, as columns.
-        centre: Its origin there.
-        unit: Its unit of length there.
-    """
-
-    axes: Float[np.ndarray, "3 3"]
-    centre: Float[np.ndarray, "3"]
-    unit: float
-
-    @classmethod
-    def of(cls, points: Float[np.ndarray, "n 3"], pose: str) -> Canonical:
-        """Of the cloud's middle, principal axes and extent; the target's own where the pose is known."""
-        if pose == "known":
-            return cls(np.eye(3), np.zeros(3), 1.0)
-        centre = points.mean(axis=0)
-        centred = points - centre
-        _, axes = np.linalg.eigh(centred.T @ centred)
-        # The heavier tail of every axis points along it; the last one makes them right-handed.
-        axes = axes * np.where(np.sum((centred @ axes) ** 3, axis=0) < 0, -1.0, 1.0)
-        axes[:, 0] *= np.sign(np.linalg.det(axes))
-        extent = float(np.sqrt(np.mean(np.sum(centred**2, axis=1))))
-        return cls(axes, centre, extent if pose == "similarity" else 1.0)
-
-    def into(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-        """Points of the target, in this frame."""
-        return (points - self.centre) @ self.axes / self.unit
-
-    def order(self, points: Float[np.ndarray, "n 3"], seed: int) -> np.ndarray:
-        """A random order that depends on where points are, and not on the order that they came in."""
-        far = np.linalg.norm(points - points.mean(axis=0), axis=1)
-        return np.argsort(far, kind="stable")[np.random.default_rng(seed).permutation(len(points))]
 
 
 def _in_target(
@@ -353,16 +391,16 @@ def _in_target(
     end, model = dataclasses.replace(end, seen=(seen,)), end.model
     if not isinstance(model, Posed):
         return end
-    blade, placed = model.surface, model.placement
+    model = frame.back(model)
+    blade = model.surface
     assert isinstance(blade, BladePetal)
-    rotation = frame.axes @ placed.rotation
     if float(blade.cup_mid) < 0:
         # The same blade by other numbers: the side that it is hollow on is the upper one.
-        blade, rotation = blade.turned_over(), rotation @ np.diag([-1.0, 1.0, -1.0])
+        over = programs.numbers(blade.turned_over())
+        rotation = np.asarray(model.rotation) @ np.diag([-1.0, 1.0, -1.0])
+        model = Posed(over, rotation, model.origin, model.unit)
         end = _turned_over(end, names)
-    place = frame.unit * frame.axes @ placed.translation + frame.centre
-    scale = frame.unit * float(placed.scale)
-    return dataclasses.replace(end, model=Posed(programs.numbers(blade), rotation, place, scale))
+    return dataclasses.replace(end, model=model)
 
 
 def _turned_over(end: Settled, names: tuple[str, ...]) -> Settled:

@@ -13,9 +13,13 @@ from petalfit.compilation import Program, bucket, pad_to
 from petalfit.components import SplinePetal
 from petalfit.components.spline_petal import SEGMENTS, basis
 from petalfit.fitting import programs
+from petalfit.fitting.canonical import Canonical
 from petalfit.fitting.flatten import flatten
+from petalfit.fitting.patches import areas_around
+from petalfit.fitting.robust import Clutter
 from petalfit.fitting.rounds import Progress
-from petalfit.fitting.sheet import Canonical, areas_around, spacing
+from petalfit.fitting.sheet import spacing
+from petalfit.fitting.strays import on_sheets
 from petalfit.residuals import frame
 from petalfit.residuals.contact import Frame
 from petalfit.surfaces import AbstractSurface, Pose
@@ -23,6 +27,7 @@ from petalfit.surfaces import AbstractSurface, Pose
 _SHAPE = (SEGMENTS[0] + 3, SEGMENTS[1] + 3)
 _COUNT = _SHAPE[0] * _SHAPE[1]
 _ROUNDS = 14
+_CLEARINGS = 3  # rounds more among clutter
 # The weight of bending falls from the first round to the last, as powers of ten.
 _STIFF, _LIMP = -3.3, -5.5
 _NODES = 33  # per side, where the sheet must lie near points
@@ -39,6 +44,8 @@ class SplineFit(NamedTuple):
         model: In its own frame.
         pose: From there to the cloud's.
         distance: Signed normal distance of every point, in the cloud's unit.
+        uv: Its foot point.
+        members: The probability that each point belongs to the sheet; 1 if all do.
         rounds: How many there were.
         moved: Root mean square move of the last one's nodes, in standard deviations of the distances.
     """
@@ -46,6 +53,8 @@ class SplineFit(NamedTuple):
     model: SplinePetal
     pose: Pose
     distance: Float[np.ndarray, " n"]
+    uv: Float[np.ndarray, "n 2"]
+    members: Float[np.ndarray, " n"]
     rounds: int
     moved: float
 
@@ -54,6 +63,7 @@ def fit_spline(
     points: Float[np.ndarray, "n 3"],
     weights: Float[np.ndarray, " n"],
     pose: str,
+    loss: str,
     progress: Progress,
 ) -> SplineFit:
     """Fit a spline sheet to a cloud.
@@ -63,21 +73,30 @@ def fit_spline(
         weights: Shape (n,), not all zero.
         pose: "known" leaves the model in the cloud's frame; "rigid" gives it one of its own, and
             "similarity" a unit too, in which it is ten long.
+        loss: "linear" or "robust".
         progress: Called with a line of text when a stage begins.
     """
     used = weights > 0
     canonical = Canonical.of(points[used], "similarity")
     order = canonical.order(points[used], 0)
     own, mass = canonical.into(points[used])[order], weights[used][order]
+    clutter = Clutter.around(own) if loss == "robust" else None
+    likely = np.ones(len(own), bool) if clutter is None else on_sheets(own)
     progress("laying it flat")
-    uv = _rectangle(flatten(own))
+    uv = _rectangle(flatten(own[likely]))
     rows = _rows(uv)
     bending = _bending()
-    start = rows.T @ (mass[:, None] * rows) + np.sum(mass) * 1e-3 * bending + 1e-9 * np.eye(_COUNT)
-    control = np.linalg.solve(start, rows.T @ (mass[:, None] * own))
-    sheet = _Points(own, mass)
-    moved = np.inf
-    for number in range(_ROUNDS):
+    start = rows.T @ (mass[likely, None] * rows)
+    start += np.sum(mass[likely]) * 1e-3 * bending + 1e-9 * np.eye(_COUNT)
+    control = np.linalg.solve(start, rows.T @ (mass[likely, None] * own[likely]))
+    sheet, moved, members = _Points(own[likely], mass[likely]), np.inf, np.ones(len(own))
+    for number in range(_ROUNDS + (0 if clutter is None else _CLEARINGS)):
+        if number >= _ROUNDS and clutter is not None:
+            progress("looking who belongs to it")
+            members = _members(control, own, mass, clutter)
+            inside = members > 0.5
+            sheet = _Points(own[inside], (mass * members)[inside])
+            uv = np.asarray(_foot_points(_surface(control), sheet.padded))[: len(sheet.points)]
         progress(f"smoothing less and less, round {number + 1} of {_ROUNDS}")
         stiffness = 10 ** np.interp(number / _ROUNDS, [0.0, 0.7], [_STIFF, _LIMP])
         new, uv, sigma = sheet.improved(control, uv, stiffness * bending, 4 if number == 0 else 2)
@@ -85,19 +104,42 @@ def fit_spline(
         control = new
     model, own_pose = _in_own_frame(control, canonical, pose)
     everything = (points - np.asarray(own_pose.translation)) @ np.asarray(own_pose.rotation)
-    distance = _distances(model, everything / float(own_pose.scale)) * float(own_pose.scale)
-    return SplineFit(model, own_pose, distance, _ROUNDS, moved)
+    distance, beyond, feet = _beside(model, everything / float(own_pose.scale))
+    distance = np.copysign(np.hypot(distance, np.maximum(beyond, 0.0)), distance)
+    everyone = np.zeros(len(points))
+    everyone[np.flatnonzero(used)[order]] = members
+    return SplineFit(
+        model, own_pose, float(own_pose.scale) * distance, feet, everyone, _ROUNDS, moved
+    )
 
 
-def _distances(model: SplinePetal, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
-    """Signed distances to foot points: along the normal, or to the edge beyond it."""
+def _members(
+    control: Float[np.ndarray, "k 3"],
+    points: Float[np.ndarray, "n 3"],
+    weights: Float[np.ndarray, " n"],
+    clutter: Clutter,
+) -> Float[np.ndarray, " n"]:
+    """The probability that each point belongs to the sheet of some coefficients."""
+    surface = _surface(control)
+    distance, beyond, _ = _beside(surface, points)
+    return clutter.mixture(surface, np.abs(distance), beyond, weights, None).members
+
+
+def _foot_points(surface: SplinePetal, padded: Float[np.ndarray, "n 3"]) -> Float[Array, "n 2"]:
+    return programs.refine(surface, padded, programs.nearest(surface, padded), 6)
+
+
+def _beside(
+    surface: SplinePetal, points: Float[np.ndarray, "n 3"]
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, "n 2"]]:
+    """Signed normal distances, distances beyond the edge, negative inside, and foot points."""
     padded = pad_to(points, bucket(len(points)))
-    uv = programs.refine(model, padded, programs.nearest(model, padded), 6)
-    here = _frames(model, uv)
-    offset = padded - np.asarray(here.position)
-    side = np.sum(np.asarray(here.normal) * offset, axis=1)
-    gap = np.linalg.norm(offset, axis=1)
-    return np.where(side < 0, -gap, gap)[: len(points)]
+    uv = _foot_points(surface, padded)
+    here = _frames(surface, uv)
+    distance = np.asarray(here.distance(jnp.asarray(padded)))
+    beyond = np.max(np.asarray(here.beyond(jnp.asarray(padded))), axis=-1)
+    n = len(points)
+    return distance[:n], beyond[:n], np.asarray(uv)[:n]
 
 
 def _frame_at(surface: AbstractSurface, uv: Float[Array, "n 2"]) -> Frame:
@@ -191,7 +233,8 @@ class _System:
     ) -> None:
         """Places that should be so far along given directions."""
         root = np.sqrt(weights)
-        slopes = (rows[:, :, None] * directions[:, None, :]).reshape(len(rows), -1) * root[:, None]
+        slopes = rows[:, :, None] * directions[:, None, :] * root[:, None, None]
+        slopes = slopes.reshape(len(rows), 3 * rows.shape[1])
         self.matrix += slopes.T @ slopes
         self.right += slopes.T @ (target * root)
 

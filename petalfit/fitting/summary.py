@@ -10,6 +10,7 @@ import numpy as np
 from petalfit.components import Parameter, Posed, bare, parameters
 from petalfit.fitting.determined import combinations, covariance
 from petalfit.fitting.estimate import Start, rivals, standard_errors
+from petalfit.fitting.misfit import MisfitMap
 from petalfit.fitting.result import Agreement, FitResult
 from petalfit.fitting.rounds import Settled
 from petalfit.observations import PointCloud, Silhouette
@@ -21,6 +22,8 @@ _MISFIT = 0.02
 _STRAINED_MISFIT = 0.005
 _GROSS = 6.0  # in units of the noise
 _EMPTY = 0.1
+_ROUNDING = 1e-6  # of a target's size: less is no distance
+_MOSTLY_STRAYS = 0.6  # of the points
 # Where foot points jump between two folds, a fit may flip for ever between two states that are nearly
 # the same: up to this many standard errors apart, that is a warning and no failure.
 _SETTLED = 0.5
@@ -48,7 +51,13 @@ def summarise(
         held = set(Posed.similarity) - set(names)
         declared = {name: p for name, p in declared.items() if name not in held}
     agreements = [
-        Agreement(target, part.distance, np.asarray(part.weights, float), part.noise)
+        Agreement(
+            target,
+            part.distance,
+            np.asarray(part.weights, float),
+            part.noise,
+            None if part.uv is None or part.unit == "px" else np.asarray(part.uv, float),
+        )
         for target, part in zip(targets, best.seen, strict=True)
     ]
     finite = bool(
@@ -67,7 +76,7 @@ def summarise(
     # In a pose of its own a model need not be bent to reach its target.
     in_space = isinstance(source, Posed) and isinstance(targets[0], PointCloud)
     strained = not in_space and any(identifiable[name] for name in bounds)
-    misfits = [_misfit(part, strained, noise) for part in agreements]
+    misfits = [_misfit(part, strained, noise, in_space) for part in agreements]
     settled = finite and bool(best.moved <= _SETTLED)
     if not finite:
         status, message = "not_finite", "the solver met values that are not finite"
@@ -81,6 +90,7 @@ def summarise(
             f"not converged after {best.rounds} rounds: parameters still move by "
             f"{best.moved:.2g} standard errors"
         )
+    stray = [words for part in agreements for words in strays(part)]
     starts = _starts(ends, names)
     flips = settled and best.moved > 0.05
     warnings = [
@@ -91,6 +101,7 @@ def summarise(
         *_rivals(starts, standard_errors(names, matrix), declared),
         *(w for part, seen in zip(agreements, best.seen, strict=True)
           for w in _about(part, seen.uv, bare(best.model), noise)),
+        *(systematic(agreements[0], bare(best.model)) if finite else []),
     ]  # fmt: skip
     pose = Pose.identity()
     pose_stderr = {}
@@ -127,7 +138,7 @@ def summarise(
         agreements=tuple(agreements),
         converged=status == "converged",
         status=status,
-        message="; ".join([message, *warnings, *_symmetries(model)]),
+        message="; ".join([message, *stray, *warnings, *_symmetries(model)]),
         warnings=tuple(warnings),
         steps=best.rounds,
         starts=starts,
@@ -186,9 +197,13 @@ def _size(target: PointCloud | Silhouette) -> float:
     return math.hypot(np.ptp(rows), np.ptp(columns))
 
 
-def _misfit(part: Agreement, strained: bool, noise: float | None) -> str:
+def _misfit(part: Agreement, strained: bool, noise: float | None, in_space: bool) -> str:
     """Why the surface does not follow a target; empty if it does."""
     size = _size(part.target)
+    if isinstance(part.target, PointCloud):
+        far = part.strays / len(part.weights)
+        if far > _MOSTLY_STRAYS:
+            return f"no petal of this model fits: it is far from {100 * far:.0f} % of the points"
     tolerable = (_STRAINED_MISFIT if strained else _MISFIT) * size
     rms = part.rms
     if isinstance(part.target, Silhouette):
@@ -200,6 +215,8 @@ def _misfit(part: Agreement, strained: bool, noise: float | None) -> str:
         frame = (
             "either it is not in the model's frame and unit (pose='known'), or it has another shape"
         )
+        if in_space:
+            frame = "it has another shape, or is in another unit"
         tolerable = max(tolerable, 1.5 * (noise or 0.0))
     if rms <= tolerable:
         return ""
@@ -227,22 +244,22 @@ def _about(
     """Warnings on one target."""
     if isinstance(part.target, Silhouette):
         return []
-    found = _distance_warnings(part.target, part.distances, part.weights, part.rms, noise)
-    return found + (_coverage_warnings(model, uv, part.weights) if uv is not None else [])
+    found = _distance_warnings(part, part.target, noise)
+    return found + (_coverage_warnings(model, uv, part.used) if uv is not None else [])
 
 
-def _distance_warnings(
-    cloud: PointCloud,
-    distances: np.ndarray,
-    weights: np.ndarray,
-    rms: float,
-    noise: float | None,
-) -> list[str]:
-    used = np.abs(distances[weights > 0])
+def strays(part: Agreement) -> list[str]:
+    """How many points the fit takes for strays, if there are any."""
+    count = part.strays
+    return [f"{count} of {len(part.weights)} points are taken for strays"] if count else []
+
+
+def _distance_warnings(part: Agreement, cloud: PointCloud, noise: float | None) -> list[str]:
+    used = np.abs(part.distances[part.used])
     typical = 1.4826 * float(np.median(used))
     found = []
-    if noise is not None and rms > 1.5 * noise:
-        found.append(f"distances are {rms / noise:.1f} times the given noise")
+    if noise is not None and part.rms > 1.5 * noise:
+        found.append(f"distances are {part.rms / noise:.1f} times the given noise")
     gross = int(np.count_nonzero(used > _GROSS * max(typical, 1e-12 * cloud.diagonal)))
     if gross:
         found.append(
@@ -252,10 +269,18 @@ def _distance_warnings(
     return found
 
 
-def _coverage_warnings(model: AbstractSurface, uv: np.ndarray, weights: np.ndarray) -> list[str]:
+def systematic(part: Agreement, model: AbstractSurface) -> list[str]:
+    """A warning if distances have a pattern on the surface."""
+    if part.uv is None or part.rms < _ROUNDING * _size(part.target):
+        return []
+    weights = np.where(part.used, part.weights, 0.0)
+    return MisfitMap.of(model.domain, part.uv, part.distances, weights).words()
+
+
+def _coverage_warnings(model: AbstractSurface, uv: np.ndarray, members: np.ndarray) -> list[str]:
     """A part of the surface without data, seen in 4 × 4 parts of the domain."""
     (u_low, u_high), (v_low, v_high) = model.domain
-    used = np.flatnonzero(weights > 0)
+    used = np.flatnonzero(members)
     # Where the surface goes on, so do foot points.
     low, high = np.array(model.domain).T
     around = low + (uv[used] - low) % (high - low)

@@ -9,12 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from petalfit.observations import (
     IMAGE_SUFFIXES,
     Camera,
     PointCloud,
     Silhouette,
+    TargetError,
     as_point_cloud,
 )
 
@@ -31,6 +33,49 @@ def as_targets(target: object, camera: Camera | None) -> list[PointCloud | Silho
     """
     parts = target if isinstance(target, list | tuple) and _is_list_of_targets(target) else [target]
     return [_as_target(part, camera) for part in parts]
+
+
+def each_once(target: PointCloud | Silhouette) -> PointCloud | Silhouette:
+    """A cloud in which points that repeat others count for nothing: they are no observations more."""
+    if not isinstance(target, PointCloud):
+        return target
+    _, first = np.unique(target.points, axis=0, return_index=True)
+    if len(first) == len(target):
+        return target
+    once = np.zeros(len(target))
+    once[first] = 1.0
+    return _weighted(target, once)
+
+
+def with_noise_of_points(
+    targets: list[PointCloud | Silhouette], noise: float | Float[np.ndarray, " n"] | None
+) -> tuple[list[PointCloud | Silhouette], float | None]:
+    """A cloud whose weights say how precise its points are, and the noise of weight 1.
+
+    Args:
+        targets: One cloud; anything if there is one noise.
+        noise: Standard deviation of every point, positive, shape (n,); or one, which is returned.
+
+    Raises:
+        TargetError: There is more, or the noise is not that of its points.
+    """
+    if not isinstance(noise, np.ndarray):
+        return targets, noise
+    cloud = targets[0]
+    if len(targets) > 1 or not isinstance(cloud, PointCloud):
+        raise TargetError("a noise for each point is there for one cloud; give one number.")
+    if noise.shape != (len(cloud),):
+        raise TargetError(
+            f"noise has shape {noise.shape}; give one number, or one for each of the {len(cloud)} points."
+        )
+    typical = float(np.mean(noise**-2.0) ** -0.5)
+    return [_weighted(cloud, (typical / noise) ** 2)], typical
+
+
+def _weighted(cloud: PointCloud, factor: np.ndarray) -> PointCloud:
+    """The cloud with weights that are multiplied."""
+    given = 1.0 if cloud.weights is None else cloud.weights
+    return PointCloud(cloud.points, cloud.normals, given * factor, cloud.colours)
 
 
 def _is_list_of_targets(target: list | tuple) -> bool:

@@ -143,7 +143,7 @@ def _described(part: Agreement) -> tuple[str, dict[str, str]]:
         }
     used = int(np.count_nonzero(part.weights))
     without = len(part.target) - used
-    ignored = f" ({without:,} more without weight)" if without else ""
+    ignored = f" ({without:,} more without weight or taken for strays)" if without else ""
     size = " × ".join(plain(side) for side in part.target.extent)
     sentence = (
         f"The points{ignored} lie {plain(part.rms)} (rms{times}) from the surface, with noise σ = "
@@ -263,7 +263,7 @@ def _contour(result: FitResult, part: Agreement) -> str:
 
 
 def _histogram(part: Agreement) -> str:
-    usable = (part.weights > 0) & np.isfinite(part.distances)
+    usable = part.used & np.isfinite(part.distances)
     if not (part.noise > 0 and math.isfinite(part.noise) and usable.any()):
         return "<p>There is no histogram: the noise is not a positive number.</p>"
     inside = part.distances[usable] / part.noise
@@ -303,7 +303,7 @@ def _swatch(rgb: np.ndarray) -> str:
 
 
 def _ignored(scene: Scene) -> str:
-    return "" if scene.used.all() else f" ({_swatch(IGNORED)} without weight)"
+    return "" if scene.used.all() else f" ({_swatch(IGNORED)} without weight or taken for strays)"
 
 
 def _correlations(result: FitResult) -> str:

@@ -60,7 +60,7 @@ def _figure(result: FitResult) -> Figure:
     clouds = [part for part in result.agreements if isinstance(part.target, PointCloud)]
     part = clouds[0] if clouds else result.agreements[0]
     scene = Scene.of(result, part if clouds else None)
-    used = count(int((part.weights > 0).sum()), "point") if clouds else "mask"
+    used = count(int(part.used.sum()), "point") if clouds else "mask"
     figure = Figure(figsize=(_WIDTH, _HEIGHT))
     tall = draw_view(scene, OBLIQUE, 900, (1.5, 1.5))
     _show(_axes(figure, 0.0, 0.1, 2.8, 4.2), tall, f"{type(result.model).__name__} and {used}")

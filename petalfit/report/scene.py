@@ -32,7 +32,7 @@ class Scene:
         points: Those of the target that the map shows, shape (m, 3). Any first part of them is a
             fair choice too.
         distances: Their signed distances to the surface, shape (m,).
-        used: Whether a point had any weight in the fit, shape (m,).
+        used: Whether a point had a weight in the fit and is not taken for a stray, shape (m,).
     """
 
     vertices: Float[np.ndarray, "k n_u n_v 3"]
@@ -51,7 +51,7 @@ class Scene:
             assert isinstance(part.target, PointCloud)
             chosen = np.random.default_rng(0).permutation(len(part.target))[:_IN_MAP]
             points = (part.target.points[chosen] - pose.translation) @ pose.rotation
-            distances, used = part.distances[chosen], part.weights[chosen] > 0
+            distances, used = part.distances[chosen], part.used[chosen]
         return cls(
             float(pose.scale) * np.array(mesh.vertices).reshape(-1, *_RESOLUTION, 3),
             np.array(mesh.vertex_normals).reshape(-1, *_RESOLUTION, 3),
@@ -71,7 +71,7 @@ class Scene:
 
 def distance_limit(part: Agreement) -> float:
     """The distance at which colours end: 3 σ, or where the farthest begin if the fit is poor."""
-    usable = np.abs(part.distances[(part.weights > 0) & np.isfinite(part.distances)])
+    usable = np.abs(part.distances[part.used & np.isfinite(part.distances)])
     noise = part.noise if np.isfinite(part.noise) else 0.0
     far = float(np.quantile(usable, 0.98)) if len(usable) else 0.0
     return far if far > 4 * noise else 3 * noise or 1.0

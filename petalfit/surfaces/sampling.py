@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 from petalfit.observations import PointCloud
 from petalfit.surfaces.programs import area_element, position_and_normal
@@ -36,14 +37,15 @@ def sample(surface: AbstractSurface, n: int, seed: int = 0, noise: float = 0.0) 
         raise ValueError(f"n must be at least 1 and noise at least 0; received {n} and {noise}")
     rng = np.random.default_rng(seed)
     with jax.enable_x64(True):
-        u, v = _area_uniform(surface, n, rng)
+        u, v = sample_uv(surface, n, rng).T
         points, normals = (np.asarray(x) for x in position_and_normal(surface, u, v))
     return PointCloud(points + noise * rng.standard_normal(points.shape), normals=normals)
 
 
-def _area_uniform(
+def sample_uv(
     surface: AbstractSurface, n: int, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray]:
+) -> Float[np.ndarray, "n 2"]:
+    """The (u, v) that `sample` takes. Call it inside `jax.enable_x64(True)`."""
     low, high = np.array(surface.domain).T
     u, v = (
         np.linspace(*side, cells + 1) for side, cells in zip(surface.domain, _CELLS, strict=True)
@@ -65,4 +67,4 @@ def _area_uniform(
         density = np.asarray(area_element(surface, uv[:, 0], uv[:, 1]))
         keep = rng.random(batch) * envelope[tuple(cell.T)] < density
         accepted = np.concatenate([accepted, uv[keep]])
-    return accepted[:n, 0], accepted[:n, 1]
+    return accepted[:n]

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 
+import jax
 import numpy as np
 from jaxtyping import Float64
+from scipy.spatial.transform import Rotation
 
 from petalfit.components import PeonyPetal
 from petalfit.observations import PointCloud, Silhouette
+from petalfit.surfaces import sample_uv
 from petalfit.synthetic.sight import Sight
 
 # Coordinates are rounded to this many decimals: the last bits of a surface's points depend on the
@@ -33,6 +36,11 @@ class Case:
             of them if None.
         strays: How many of the points, the last ones, are scattered uniformly over one and a half
             times the bounding box instead of lying near the surface.
+        hidden: (u, v): nothing is seen of the part of the petal beyond both; all of it if None.
+        thinning: How many times denser the points lie at the base than at the tip.
+        turn: Rotation of the cloud about the petal's origin: a vector, by its length in rad.
+        shift: Where the origin is then, in the cloud's unit.
+        unit: Length of the petal's unit in the cloud's.
         suffix: Of the cloud's file; ".npz" holds float32, everything else doubles.
         sights: Masks; a case of masks alone has no points.
     """
@@ -45,6 +53,11 @@ class Case:
     seed: int
     keep: tuple[tuple[float, float, float], float] | None = None
     strays: int = 0
+    hidden: tuple[float, float] | None = None
+    thinning: float = 1.0
+    turn: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    unit: float = 1.0
     suffix: str = ".ply"
     sights: tuple[Sight, ...] = ()
 
@@ -67,7 +80,8 @@ def make(case: Case) -> PointCloud:
         case: The recipe.
 
     Returns:
-        Points without normals, as a scanner gives them, rounded to `DECIMALS`.
+        Points without normals, as a scanner gives them, rounded to `DECIMALS`, wherever the case puts
+        them.
     """
     true = case.points - case.strays
     surface = _seen(case, true)
@@ -76,7 +90,9 @@ def make(case: Case) -> PointCloud:
     low, high = points.min(axis=0), points.max(axis=0)
     middle, half = 0.5 * (low + high), 0.5 * _STRAY_BOX * (high - low)
     scattered = middle + half * strays.uniform(-1.0, 1.0, (case.strays, 3))
-    return PointCloud(np.round(np.concatenate([points, scattered]), DECIMALS))
+    everything = np.concatenate([points, scattered])
+    rotation = Rotation.from_rotvec(case.turn).as_matrix()
+    return PointCloud(np.round(case.unit * everything @ rotation.T + case.shift, DECIMALS))
 
 
 def _seen(case: Case, count: int) -> Float64[np.ndarray, "n 3"]:
@@ -84,9 +100,17 @@ def _seen(case: Case, count: int) -> Float64[np.ndarray, "n 3"]:
     drawn = count
     while True:
         points = case.model.sample(drawn, seed=case.seed).points
+        seen = np.ones(drawn, bool)
         if case.keep is not None:
             normal, offset = case.keep
-            points = points[points @ np.array(normal) > offset]
+            seen &= points @ np.array(normal) > offset
+        if case.hidden is not None or case.thinning != 1.0:
+            with jax.enable_x64(True):
+                u, v = sample_uv(case.model, drawn, np.random.default_rng(case.seed)).T
+            if case.hidden is not None:
+                seen &= ~((u > case.hidden[0]) & (v > case.hidden[1]))
+            seen &= np.random.default_rng([case.seed, 3]).random(drawn) < case.thinning**-v
+        points = points[seen]
         if len(points) >= count:
             return points[:count]
         if drawn > 1000 * count:

@@ -108,6 +108,8 @@ def read_case(folder: Path) -> tuple[Case, list[PointCloud | Silhouette]]:
     if truth["keep"] is not None:
         truth["keep"] = (tuple(truth["keep"]["normal"]), truth["keep"]["offset"])
     truth["sights"] = tuple(map(_sight, truth["sights"]))
+    for name in ("hidden", "turn", "shift"):
+        truth[name] = None if truth[name] is None else tuple(truth[name])
     case = Case(**truth)
     targets: list[PointCloud | Silhouette] = []
     if case.points:

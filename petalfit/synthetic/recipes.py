@@ -33,6 +33,22 @@ RECIPES: tuple[Case, ...] = (
     ),
     Case("outliers", "2 % of the points are anywhere", _petal(17), 1500, 0.05, 17, strays=30),
     Case(
+        "anywhere", "in its own unit, but turned and far away", _petal(31), 2000, 0.05, 31,
+        turn=(1.4, -0.9, 2.0), shift=(310.0, -45.0, 80.0),
+    ),
+    Case(
+        "clutter", "anywhere, a third of the points clutter, a quadrant not seen", _petal(32), 2000,
+        0.05, 32, strays=666, hidden=(0.0, 0.5), turn=(-2.0, 0.7, 0.4), shift=(-12.0, 95.0, 33.0),
+    ),
+    Case(
+        "wrong-unit", "anywhere, and in another unit", _petal(33), 2000, 0.05, 33,
+        turn=(0.3, 2.2, -1.0), shift=(4.0, 2.0, -7.0), unit=0.01,
+    ),
+    Case(
+        "gradient", "ten times denser at the base than at the tip", _petal(34), 1500, 0.05, 34,
+        thinning=10.0,
+    ),
+    Case(
         "fine-ribs", "a narrow petal, its ribs at the highest frequency and faint",
         PeonyPetal(
             a_x=10.0, b_y=40.0, c_z=-1.0, c=1.0, dx=-0.15, dy=-5.0, rib_frequency=32.0,

@@ -9,8 +9,7 @@ import pytest
 
 import petalfit as pf
 from petalfit.compilation import Program, bucket
-from petalfit.fitting import cloud as cloud_module
-from petalfit.fitting import programs
+from petalfit.fitting import cloud_fit, programs
 from petalfit.fitting.coordinates import Coordinates
 from petalfit.fitting.peony_start import rib_periodogram
 
@@ -108,7 +107,8 @@ def test_without_ribs_their_frequency_is_not_determined():
 
 def test_a_periodogram_of_nothing_has_a_peak_all_the_same():
     zero = np.zeros(9)
-    (basin,) = rib_periodogram(None, zero, np.ones((9, 3)), np.ones(9), np.zeros((9, 2)))
+    nothing = (np.zeros((9, 2)), np.zeros((9, 1)))
+    (basin,) = rib_periodogram(None, zero, np.ones(9), np.ones(9), *nothing)
     assert basin.amplitude == basin.gain == 0
     assert math.isfinite(basin.frequency)
 
@@ -196,7 +196,7 @@ def test_impossible_options_are_refused(options):
 
 
 def test_a_failed_fit_raises_or_says_so(monkeypatch, cloud):
-    monkeypatch.setattr(cloud_module, "_ROUNDS", 1)
+    monkeypatch.setattr(cloud_fit, "_ROUNDS", 1)
     far = pf.PeonyPetal(a_x=16.0, b_y=20.0, dy=1.0)
     with pytest.raises(pf.FitError, match="not converged") as error:
         pf.fit_petal(cloud[1], init=far)

@@ -8,11 +8,12 @@ import pytest
 from scipy.spatial import KDTree
 
 import petalfit as pf
+from petalfit.fitting.canonical import Canonical
 from petalfit.fitting.cloud import ObservedCloud, pad
 from petalfit.fitting.coordinates import Coordinates
 from petalfit.fitting.flatten import flatten
 from petalfit.fitting.rounds import Settled
-from petalfit.fitting.sheet import Canonical, _in_target
+from petalfit.fitting.sheet import _in_target
 from petalfit.residuals import Emptiness
 
 PETALS = Path(__file__).parents[3] / "shared" / "data" / "petals"
@@ -196,8 +197,10 @@ def test_a_petal_that_nobody_generated(name):
 
 def test_what_has_no_pose_is_refused():
     cloud = TRUTH.sample(300)
-    with pytest.raises(pf.TargetError, match="is there for BladePetal"):
-        pf.fit_petal(cloud, pose="rigid")
+    with pytest.raises(pf.TargetError, match="is there for PeonyPetal, BladePetal"):
+        pf.fit(pf.Ellipsoid, cloud, pose="rigid")
+    with pytest.raises(pf.TargetError, match="wave lengths of its own unit"):
+        pf.fit_petal(cloud, pose="similarity")
     with pytest.raises(ValueError, match="must be 'known', 'rigid' or 'similarity'"):
         pf.fit_petal(cloud, pose="free")
     with pytest.raises(pf.TargetError, match="one cloud"):

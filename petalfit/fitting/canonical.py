@@ -1,0 +1,61 @@
+"""A frame of a cloud's own, in which it is fitted: results do not depend on the frame it came in."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float
+
+from petalfit.components import Posed
+from petalfit.fitting import programs
+
+
+@dataclasses.dataclass(frozen=True)
+class Canonical:
+    """A frame of the cloud's own, so that a fit does not depend on the frame that it came in.
+
+    Attributes:
+        axes: Its axes in the target's frame, as columns.
+        centre: Its origin there.
+        unit: Its unit of length there.
+    """
+
+    axes: Float[np.ndarray, "3 3"]
+    centre: Float[np.ndarray, "3"]
+    unit: float
+
+    @classmethod
+    def of(cls, points: Float[np.ndarray, "n 3"], pose: str) -> Canonical:
+        """Of the cloud's middle, principal axes and extent; the target's own where the pose is known."""
+        if pose == "known":
+            return cls(np.eye(3), np.zeros(3), 1.0)
+        centre = points.mean(axis=0)
+        centred = points - centre
+        _, axes = np.linalg.eigh(centred.T @ centred)
+        # The heavier tail of every axis points along it; the last one makes them right-handed.
+        axes = axes * np.where(np.sum((centred @ axes) ** 3, axis=0) < 0, -1.0, 1.0)
+        axes[:, 0] *= np.sign(np.linalg.det(axes))
+        extent = float(np.sqrt(np.mean(np.sum(centred**2, axis=1))))
+        return cls(axes, centre, extent if pose == "similarity" else 1.0)
+
+    def into(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+        """Points of the target, in this frame."""
+        return (points - self.centre) @ self.axes / self.unit
+
+    def back(self, posed: Posed) -> Posed:
+        """A component posed in this frame, in the target's; its turns and shifts are zero there."""
+        placed = posed.placement
+        place = self.unit * self.axes @ placed.translation + self.centre
+        scale = self.unit * float(placed.scale)
+        return Posed(
+            programs.numbers(posed.surface),
+            self.axes @ np.asarray(placed.rotation),
+            np.asarray(place),
+            np.float64(scale),
+        )
+
+    def order(self, points: Float[np.ndarray, "n 3"], seed: int) -> np.ndarray:
+        """A random order that depends on where points are, and not on the order that they came in."""
+        far = np.linalg.norm(points - points.mean(axis=0), axis=1)
+        return np.argsort(far, kind="stable")[np.random.default_rng(seed).permutation(len(points))]

@@ -1,0 +1,428 @@
+"""A cloud fit from nothing: pose, outline, heights and ribs on a few points, then all points."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from petalfit.components import PeonyPetal, Posed
+from petalfit.fitting import peony_start, programs
+from petalfit.fitting.canonical import Canonical
+from petalfit.fitting.cloud import ObservedCloud, feet, pad, with_all_points
+from petalfit.fitting.coordinates import Coordinates, with_values
+from petalfit.fitting.determined import stay_at_the_start
+from petalfit.fitting.peony_pose import Placed, placed_petals
+from petalfit.fitting.peony_start import RIBS
+from petalfit.fitting.robust import Cleared, Clutter, approach, clear
+from petalfit.fitting.rounds import (
+    AbstractObserved,
+    Polished,
+    Progress,
+    Settled,
+    Surface,
+    finish,
+    minimise,
+)
+from petalfit.fitting.solve import Prior
+from petalfit.fitting.strays import on_sheets
+from petalfit.fitting.view_start import Shadow, search
+from petalfit.observations import PointCloud
+from petalfit.residuals import AbstractTerm, Data
+from petalfit.surfaces import AbstractSurface, Pose, value_at
+
+# Points that a start is found with. Enough for the ribs, which are fine; and small clouds are fitted
+# with programs of a single size.
+START_POINTS = 1536
+_APPROACH_POINTS = 2048
+# Rivals of the best rib frequency are followed if the periodogram prefers it by less than this in χ².
+_CLEAR_LEAD = 50.0
+# Poses that are tried at first, and along the normal of the best of these.
+_TRIED, _TRIED_AMONG_CLUTTER = (3, 0), (4, 3)
+# Poses whose logarithm of the likelihood is worse by more than this part of the points are not followed.
+_HOPELESS = 0.05
+_SAME_TURN = 0.1  # rad
+
+
+@dataclasses.dataclass(frozen=True)
+class Scan:
+    """A cloud to be fitted.
+
+    Attributes:
+        points: All that have a weight.
+        weights: How many observations each counts for.
+        order: A random one; its first ones are the points for a start.
+        noise: σ, or None to estimate it.
+        clutter: What else is there, if not all points belong to the surface.
+        likely: Which points seem to belong to one.
+    """
+
+    points: Float[np.ndarray, "n 3"]
+    weights: Float[np.ndarray, " n"]
+    order: np.ndarray
+    noise: float | None
+    clutter: Clutter | None
+    likely: Bool[np.ndarray, " n"]
+
+    @classmethod
+    def of(
+        cls,
+        points: np.ndarray,
+        weights: np.ndarray,
+        order: np.ndarray,
+        noise: float | None,
+        loss: str,
+    ) -> Scan:
+        """A cloud that is clean, or that may hold anything besides if the loss is "robust"."""
+        if loss == "linear":
+            return cls(points, weights, order, noise, None, np.ones(len(points), bool))
+        return cls(points, weights, order, noise, Clutter.around(points), on_sheets(points))
+
+    def some(self, count: int) -> np.ndarray:
+        """Numbers of some points that seem to belong to a surface."""
+        return self.order[self.likely[self.order]][:count]
+
+    def settle(
+        self, coordinates: Coordinates, label: str, model: AbstractSurface, prior: Prior | None
+    ) -> Settled:
+        """Polish on ever more points: each stage starts within a few standard errors of its end."""
+        if len(self.order) > 2 * START_POINTS:
+            some = self.order[:START_POINTS]
+            model = self._polished(coordinates, model, some, 10, 0.1, prior)[0].model
+        polished, weights, log_likelihood = self._polished(
+            coordinates, model, np.arange(len(self.points)), _ROUNDS, _TOLERANCE, prior
+        )
+        cloud = ObservedCloud.of(self.points, weights, self.noise, self.order)
+        end = finish(coordinates, label, [cloud], polished, prior)
+        if log_likelihood is None:
+            return end
+        return dataclasses.replace(end, chi2=-2 * log_likelihood)
+
+    def _polished(
+        self,
+        coordinates: Coordinates,
+        model: AbstractSurface,
+        some: np.ndarray,
+        rounds: int,
+        tolerance: float,
+        prior: Prior | None,
+    ) -> tuple[Polished, np.ndarray, float | None]:
+        """Where the solver stops on some points, their weights there, and their likelihood if robust."""
+        points, weights = self.points[some], self.weights[some]
+        if self.clutter is None:
+            cloud = ObservedCloud(pad(points, weights, self.noise))
+            start = cloud.at(feet(model, cloud.data.points))
+            ends = minimise(coordinates, [cloud], model, [start], rounds, tolerance, prior)
+            return ends, weights, None
+        ends = clear(coordinates, self.clutter, model, points, weights, self.noise, prior)
+        return ends.polished, weights * ends.mixture.members, ends.mixture.log_likelihood
+
+
+def fit_cloud(
+    template: AbstractSurface,
+    free: tuple[str, ...],
+    points: np.ndarray,
+    weights: np.ndarray,
+    *,
+    pose: str = "known",
+    loss: str = "linear",
+    noise: float | None,
+    from_template: bool,
+    seed: int,
+    progress: Progress,
+) -> tuple[AbstractSurface, tuple[str, ...], list[Settled]]:
+    """Fit a component in the cloud's own frame, or a petal in an unknown pose.
+
+    Args:
+        template: Values of the fixed parameters; of all parameters if `from_template`.
+        free: Names of the parameters to fit.
+        points: Shape (n, 3), finite.
+        weights: Shape (n,), not all zero.
+        pose: "known", or "rigid" for a PeonyPetal.
+        loss: "linear" or "robust".
+        noise: σ, or None to estimate it.
+        from_template: Start at the template instead of searching.
+        seed: Of the choice of points for the start.
+        progress: Called with a line of text when a stage begins.
+
+    Returns:
+        The template, perhaps posed; the names of all that is free; and what each start reached, the best
+        first. Call it inside `jax.enable_x64(True)`.
+    """
+    cloud = PointCloud(points, weights=weights)
+    used = weights > 0
+    frame = Canonical.of(points[used], pose)
+    own, weights = frame.into(points[used]), weights[used]
+    scan = Scan.of(own, weights, frame.order(own, seed), noise, loss)
+    if pose == "known":
+        coordinates = Coordinates.of(template, free)
+        ends = _from_known(coordinates, scan, from_template, progress)
+    else:
+        assert isinstance(template, PeonyPetal)
+        # Where it lies along its normal is the pose's to say.
+        free = tuple(name for name in free if name != "c_z")
+        ends = [
+            dataclasses.replace(end, model=frame.back(end.model))
+            for end in _from_anywhere(template, free, scan, progress)
+        ]
+        free = (*free, *Posed.rigid)
+    best, *others = ends
+    coordinates = Coordinates.of(best.model, free)
+    return best.model, free, [with_all_points(coordinates, best, 0, cloud), *others]
+
+
+def _from_known(
+    coordinates: Coordinates, scan: Scan, from_template: bool, progress: Progress
+) -> list[Settled]:
+    """Ends in the cloud's own frame."""
+    if from_template:
+        starts = [("given", coordinates.template)]
+    elif isinstance(coordinates.template, PeonyPetal):
+        starts = [*_starts(coordinates, scan, progress)]
+    else:
+        some = scan.some(START_POINTS)
+        starts = component_starts(
+            coordinates, _whole, scan.points[some], scan.weights[some], progress
+        )
+
+    def settle(label: str, model: AbstractSurface, prior: Prior | None) -> Settled:
+        return scan.settle(coordinates, label, model, prior)
+
+    return follow(coordinates, starts, settle, progress)
+
+
+def _from_anywhere(
+    template: PeonyPetal, free: tuple[str, ...], scan: Scan, progress: Progress
+) -> list[Settled]:
+    """Ends of the poses that the cloud leaves open."""
+    names = (*free, *Posed.rigid)
+    progress("searching the pose")
+    likely = scan.points[scan.some(START_POINTS)]
+    smooth = template
+    if "rib_amplitude" in free:
+        smooth = with_values(template, {"rib_amplitude": 0.0})
+    placed = placed_petals(smooth, free, likely)
+    some = scan.order[:_APPROACH_POINTS]
+    points, weights = scan.points[some], scan.weights[some]
+    clutter = scan.clutter or Clutter.around(scan.points)
+
+    def approached(start: Placed) -> Cleared:
+        posed = Posed(
+            programs.numbers(start.petal), start.rotation, start.translation, np.float64(1.0)
+        )
+        held = Coordinates.of(posed, names).holding(RIBS)
+        return approach(held, clutter, posed, points, weights, scan.likely[some])
+
+    found: list[Cleared] = []
+    at_first, again = _TRIED_AMONG_CLUTTER if scan.clutter else _TRIED
+    for k, start in enumerate(placed[:at_first]):
+        progress(f"approaching from pose {k + 1}")
+        found.append(approached(start))
+    if again:
+        best = max(found, key=_likelihood)
+        progress("looking again along its normal")
+        inside = points[best.mixture.members > 0.5][:START_POINTS]
+        placed = placed_petals(smooth, free, inside, np.asarray(_placement(best).rotation))
+        found += map(approached, placed[:again])
+    found.sort(key=_likelihood, reverse=True)
+    ends: list[Settled] = []
+    for k, near in enumerate(found):
+        lead = _likelihood(found[0]) - _likelihood(near)
+        turned = [_turn_between(near, other) for other in found[:k]]
+        if lead > _HOPELESS * len(points) or any(turn < _SAME_TURN for turn in turned):
+            continue
+        ends += _settled_poses(template, names, scan, near, f"pose {k + 1}, ", progress)
+    return sorted(ends, key=lambda end: end.chi2)
+
+
+def _settled_poses(
+    template: PeonyPetal,
+    names: tuple[str, ...],
+    scan: Scan,
+    near: Cleared,
+    label: str,
+    progress: Progress,
+) -> list[Settled]:
+    """Ends of one pose, one for each rib frequency that the cloud leaves open."""
+    smooth = near.polished.model
+    assert isinstance(smooth, Posed)
+    frame = Canonical(np.eye(3), np.zeros(3), 1.0)
+    posed = frame.back(dataclasses.replace(smooth, surface=programs.numbers(template)))
+    coordinates = Coordinates.of(posed, names)
+    smooth = frame.back(smooth)
+    (term,) = near.polished.terms
+    starts = [("smooth", smooth)]
+    if set(RIBS) & set(names):
+        starts = [*rib_starts(coordinates, smooth, near.cloud, term)]
+
+    def settle(name: str, model: AbstractSurface, prior: Prior | None) -> Settled:
+        return scan.settle(coordinates, label + name, model, prior)
+
+    return follow(coordinates, starts, settle, progress)
+
+
+def _likelihood(near: Cleared) -> float:
+    return near.mixture.log_likelihood
+
+
+def _placement(near: Cleared) -> Pose:
+    assert isinstance(near.polished.model, Posed)
+    return near.polished.model.placement
+
+
+def _turn_between(one: Cleared, other: Cleared) -> float:
+    """The angle between two poses, in rad."""
+    first, second = (np.asarray(_placement(x).rotation) for x in (one, other))
+    return float(np.arccos(np.clip((np.trace(first.T @ second) - 1) / 2, -1, 1)))
+
+
+def follow(
+    coordinates: Coordinates,
+    starts: Sequence[tuple[str, AbstractSurface]],
+    settle: Callable[[str, AbstractSurface, Prior | None], Settled],
+    progress: Progress,
+) -> list[Settled]:
+    """Where starts end, the best first; in that, what is not determined stays at the template's values.
+
+    Args:
+        coordinates: The free parameters.
+        starts: With their labels.
+        settle: From a start to its end, with what is known besides.
+        progress: Called with a line of text for each start.
+    """
+    ends = []
+    for label, model in starts:
+        progress(f"polishing from {label}")
+        ends.append(settle(label, model, None))
+    best, *others = sorted(ends, key=lambda end: end.chi2)
+
+    def again(model: AbstractSurface, _: Polished | None, prior: Prior | None) -> Settled:
+        return settle(best.label, model, prior)
+
+    return [stay_at_the_start(coordinates, best, again), *others]
+
+
+def _whole(points: np.ndarray, weights: np.ndarray, noise: float | None) -> ObservedCloud:
+    return ObservedCloud(pad(points, weights, noise))
+
+
+def component_starts(
+    coordinates: Coordinates,
+    observe: Callable[[np.ndarray, np.ndarray, float | None], AbstractObserved],
+    points: np.ndarray,
+    weights: np.ndarray,
+    progress: Progress,
+) -> list[tuple[str, AbstractSurface]]:
+    """Starts of any component: as far as some points in all directions, then near to them."""
+    progress("searching the extent")
+    # Three views along the axes know how far a body reaches in space.
+    shadows = [
+        Shadow(np.vstack([np.hstack([np.delete(np.eye(3), k, 0), np.zeros((2, 1))]), _FLAT]),
+               np.delete(points, k, 1), weights)
+        for k in range(3)
+    ]  # fmt: skip
+    cloud = observe(points, weights, None)
+    found = []
+    for t in search(coordinates, shadows, _CANDIDATES):
+        model = minimise(coordinates, [cloud], coordinates.model(t), [None], 4, 0.5).model
+        found.append((cloud.misfit(model), model))
+    found.sort(key=lambda start: start[0])
+    different: list[tuple[str, AbstractSurface]] = []
+    for _, model in found:
+        t = coordinates.inverse(model)
+        apart = [np.max(np.abs(t - coordinates.inverse(other))) > _SAME for _, other in different]
+        if all(apart):
+            different.append((f"extent {len(different) + 1}", model))
+        if len(different) == _FOLLOWED:
+            break
+    return different
+
+
+def _starts(
+    coordinates: Coordinates[PeonyPetal], scan: Scan, progress: Progress
+) -> Iterator[tuple[str, PeonyPetal]]:
+    """Petals to polish: one for each rib frequency that the cloud leaves open."""
+    template, free = coordinates.template, coordinates.free
+    some = scan.some(START_POINTS)
+    points = scan.points[some]
+    data = pad(points, scan.weights[some], None)
+    progress("searching the outline")
+    outline, complete = peony_start.fit_outline(template, free, points)
+    polished = _smooth(coordinates, outline, data)
+    if "b_y" in free and not complete:
+        # Without its tip a petal has the outline of a shorter one: look at several lengths.
+        rest = [name for name in free if name != "b_y"]
+        for length in _LENGTHS:
+            longer = with_values(template, {"b_y": length})
+            outline, _ = peony_start.fit_outline(longer, rest, points)
+            polished = min(
+                polished,
+                _smooth(coordinates, outline, data),
+                key=lambda start: float(start.terms[0].sigma),
+            )
+    smooth = polished.model
+    if not set(RIBS) & set(free):
+        yield "the outline", with_values(smooth, {"rib_amplitude": template.rib_amplitude})
+        return
+    progress("searching the rib frequency")
+    yield from rib_starts(coordinates, smooth, ObservedCloud(data), polished.terms[0])
+
+
+def rib_starts(
+    coordinates: Coordinates[Surface],
+    smooth: Surface,
+    cloud: ObservedCloud,
+    term: AbstractTerm | None = None,
+) -> Iterator[tuple[str, Surface]]:
+    """A petal without ribs, perhaps posed, with those that a cloud's distances to it speak for."""
+    held = coordinates.holding(RIBS).around(smooth)
+    data, uv = cloud.data, cloud.look(smooth, term).uv
+    seen = programs.survey(held, data, held.inverse(smooth), uv)
+    fixed = "rib_frequency" not in coordinates.free
+    # Ribs rise along the petal's own z axis.
+    up = np.array([0.0, 0.0, 1.0])
+    if isinstance(smooth, Posed):
+        up = np.asarray(smooth.placement.rotation)[:, 2]
+    basins = peony_start.rib_periodogram(
+        float(value_at(coordinates.template, "rib_frequency")) if fixed else None,
+        np.asarray(seen.distance),
+        np.asarray(seen.normal) @ up,
+        np.asarray(data.weights),
+        np.asarray(uv),
+        np.asarray(seen.slopes)[:, held.active > 0],
+    )
+    for frequency, amplitude, gain in basins:
+        if basins[0].gain - gain <= _CLEAR_LEAD:
+            ribs = {"rib_frequency": frequency, "rib_amplitude": amplitude}
+            yield f"rib_frequency {frequency:.2f}", with_values(smooth, ribs)
+
+
+def _smooth(coordinates: Coordinates[PeonyPetal], outline: PeonyPetal, data: Data) -> Polished:
+    """A petal without ribs, from its outline."""
+    rough, uv = _with_heights(coordinates, outline, data)
+    held = coordinates.holding(RIBS).around(with_values(rough, {"rib_amplitude": 0.0}))
+    cloud = ObservedCloud(data)
+    return minimise(held, [cloud], held.template, [cloud.at(uv)], 8, 1.0)
+
+
+def _with_heights(
+    coordinates: Coordinates[PeonyPetal], outline: PeonyPetal, data: Data
+) -> tuple[PeonyPetal, Array]:
+    """The petal with the heights that its outline leaves, and foot points straight below the data."""
+    heights = peony_start.Heights.of(outline, coordinates.free, data)
+    if not heights.names:
+        return outline, heights.uv
+    weights = np.asarray(data.weights)
+    amplitudes = peony_start.fit_amplitudes(heights.above, heights.basis, weights)
+    return with_values(outline, dict(zip(heights.names, amplitudes, strict=True))), heights.uv
+
+
+_FLAT = np.array([[0.0, 0.0, 0.0, 1.0]])  # the last row of an orthographic camera
+_CANDIDATES = 12
+_FOLLOWED = 2
+_SAME = 0.3  # coordinates closer than this are one start
+_ROUNDS = 30
+_LENGTHS = (16.0, 21.0, 27.0, 35.0)
+_TOLERANCE = 1e-2  # standard errors

@@ -1,0 +1,41 @@
+"""A surface cut into patches: their places, and the area that each stands for."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from petalfit.fitting import programs
+from petalfit.surfaces import AbstractSurface
+
+SHAPE = (25, 33)
+
+
+class Patches(NamedTuple):
+    """Evenly spaced in (u, v).
+
+    Attributes:
+        uv: Their middles.
+        places: In space.
+        area: Around each.
+    """
+
+    uv: Float[np.ndarray, "n 2"]
+    places: Float[np.ndarray, "n 3"]
+    area: Float[np.ndarray, "25 33"]
+
+    @classmethod
+    def of(cls, model: AbstractSurface) -> Patches:
+        """Of any surface."""
+        u, v = (np.linspace(*side, n) for side, n in zip(model.domain, SHAPE, strict=True))
+        uv = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
+        places = np.asarray(programs.places(model, uv))
+        return cls(uv, places, areas_around(places.reshape(*SHAPE, 3)))
+
+
+def areas_around(grid: Float[np.ndarray, "n_u n_v 3"]) -> Float[np.ndarray, "n_u n_v"]:
+    """The area of a sheet around each of its nodes."""
+    sides = np.gradient(grid, axis=0), np.gradient(grid, axis=1)
+    return np.linalg.norm(np.cross(*sides), axis=-1)
