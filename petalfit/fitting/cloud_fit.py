@@ -39,11 +39,14 @@ START_POINTS = 1536
 _APPROACH_POINTS = 2048
 # Rivals of the best rib frequency are followed if the periodogram prefers it by less than this in χ².
 _CLEAR_LEAD = 50.0
-# Poses that are tried at first, and along the normal of the best of these.
-_TRIED, _TRIED_AMONG_CLUTTER = (3, 0), (4, 3)
+# Poses that are tried at first, and along the normal of the best of these; more in an unknown unit or
+# among clutter.
+_TRIED, _TRIED_IN_DOUBT = (3, 0), (4, 3)
 # Poses whose logarithm of the likelihood is worse by more than this part of the points are not followed.
 _HOPELESS = 0.05
 _SAME_TURN = 0.1  # rad
+_POSE_NAMES = {"rigid": Posed.rigid, "similarity": Posed.similarity}
+_TYPICAL_EXTENT = 10.0  # root mean square distance of a petal's points from their middle
 
 
 @dataclasses.dataclass(frozen=True)
@@ -140,7 +143,7 @@ def fit_cloud(
         free: Names of the parameters to fit.
         points: Shape (n, 3), finite.
         weights: Shape (n,), not all zero.
-        pose: "known", or "rigid" for a PeonyPetal.
+        pose: "known"; "rigid" or "similarity" for a PeonyPetal.
         loss: "linear" or "robust".
         noise: σ, or None to estimate it.
         from_template: Start at the template instead of searching.
@@ -154,6 +157,10 @@ def fit_cloud(
     cloud = PointCloud(points, weights=weights)
     used = weights > 0
     frame = Canonical.of(points[used], pose)
+    if pose == "similarity":
+        # As large as petals usually are in the model's unit.
+        frame = dataclasses.replace(frame, unit=frame.unit / _TYPICAL_EXTENT)
+    noise = None if noise is None else noise / frame.unit
     own, weights = frame.into(points[used]), weights[used]
     scan = Scan.of(own, weights, frame.order(own, seed), noise, loss)
     if pose == "known":
@@ -163,14 +170,20 @@ def fit_cloud(
         assert isinstance(template, PeonyPetal)
         # Where it lies along its normal is the pose's to say.
         free = tuple(name for name in free if name != "c_z")
-        ends = [
-            dataclasses.replace(end, model=frame.back(end.model))
-            for end in _from_anywhere(template, free, scan, progress)
-        ]
-        free = (*free, *Posed.rigid)
+        found = _from_anywhere(template, free, pose, scan, progress)
+        ends = [_in_target(end, frame) for end in found]
+        free = (*free, *_POSE_NAMES[pose])
     best, *others = ends
     coordinates = Coordinates.of(best.model, free)
     return best.model, free, [with_all_points(coordinates, best, 0, cloud), *others]
+
+
+def _in_target(end: Settled, frame: Canonical) -> Settled:
+    """An end in the target's frame and unit."""
+    assert isinstance(end.model, Posed)
+    (seen,) = end.seen
+    seen = seen._replace(distance=frame.unit * seen.distance, noise=frame.unit * seen.noise)
+    return dataclasses.replace(end, model=frame.back(end.model), seen=(seen,))
 
 
 def _from_known(
@@ -194,29 +207,30 @@ def _from_known(
 
 
 def _from_anywhere(
-    template: PeonyPetal, free: tuple[str, ...], scan: Scan, progress: Progress
+    template: PeonyPetal, free: tuple[str, ...], pose: str, scan: Scan, progress: Progress
 ) -> list[Settled]:
     """Ends of the poses that the cloud leaves open."""
-    names = (*free, *Posed.rigid)
+    names = (*free, *_POSE_NAMES[pose])
     progress("searching the pose")
     likely = scan.points[scan.some(START_POINTS)]
     smooth = template
     if "rib_amplitude" in free:
         smooth = with_values(template, {"rib_amplitude": 0.0})
-    placed = placed_petals(smooth, free, likely)
+    placed = placed_petals(smooth, free, likely, pose)
     some = scan.order[:_APPROACH_POINTS]
     points, weights = scan.points[some], scan.weights[some]
     clutter = scan.clutter or Clutter.around(scan.points)
 
     def approached(start: Placed) -> Cleared:
         posed = Posed(
-            programs.numbers(start.petal), start.rotation, start.translation, np.float64(1.0)
+            programs.numbers(start.petal), start.rotation, start.translation, np.float64(start.unit)
         )
         held = Coordinates.of(posed, names).holding(RIBS)
         return approach(held, clutter, posed, points, weights, scan.likely[some])
 
     found: list[Cleared] = []
-    at_first, again = _TRIED_AMONG_CLUTTER if scan.clutter else _TRIED
+    easy = pose == "rigid" and scan.clutter is None
+    at_first, again = _TRIED if easy else _TRIED_IN_DOUBT
     for k, start in enumerate(placed[:at_first]):
         progress(f"approaching from pose {k + 1}")
         found.append(approached(start))
@@ -224,7 +238,7 @@ def _from_anywhere(
         best = max(found, key=_likelihood)
         progress("looking again along its normal")
         inside = points[best.mixture.members > 0.5][:START_POINTS]
-        placed = placed_petals(smooth, free, inside, np.asarray(_placement(best).rotation))
+        placed = placed_petals(smooth, free, inside, pose, np.asarray(_placement(best).rotation))
         found += map(approached, placed[:again])
     found.sort(key=_likelihood, reverse=True)
     ends: list[Settled] = []
@@ -233,7 +247,7 @@ def _from_anywhere(
         turned = [_turn_between(near, other) for other in found[:k]]
         if lead > _HOPELESS * len(points) or any(turn < _SAME_TURN for turn in turned):
             continue
-        ends += _settled_poses(template, names, scan, near, f"pose {k + 1}, ", progress)
+        ends += _settled_poses(template, names, scan, near, f"pose {k + 1}", progress)
     return sorted(ends, key=lambda end: end.chi2)
 
 
@@ -256,9 +270,10 @@ def _settled_poses(
     starts = [("smooth", smooth)]
     if set(RIBS) & set(names):
         starts = [*rib_starts(coordinates, smooth, near.cloud, term)]
+    starts = [(f"{label}, {name}", model) for name, model in starts]
 
     def settle(name: str, model: AbstractSurface, prior: Prior | None) -> Settled:
-        return scan.settle(coordinates, label + name, model, prior)
+        return scan.settle(coordinates, name, model, prior)
 
     return follow(coordinates, starts, settle, progress)
 
@@ -382,12 +397,12 @@ def rib_starts(
     seen = programs.survey(held, data, held.inverse(smooth), uv)
     fixed = "rib_frequency" not in coordinates.free
     # Ribs rise along the petal's own z axis.
-    up = np.array([0.0, 0.0, 1.0])
+    up, unit = np.array([0.0, 0.0, 1.0]), 1.0
     if isinstance(smooth, Posed):
-        up = np.asarray(smooth.placement.rotation)[:, 2]
+        up, unit = np.asarray(smooth.placement.rotation)[:, 2], float(smooth.placement.scale)
     basins = peony_start.rib_periodogram(
         float(value_at(coordinates.template, "rib_frequency")) if fixed else None,
-        np.asarray(seen.distance),
+        np.asarray(seen.distance) / unit,
         np.asarray(seen.normal) @ up,
         np.asarray(data.weights),
         np.asarray(uv),

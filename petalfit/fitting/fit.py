@@ -405,11 +405,6 @@ def _check_pose(
             f"pose={pose!r} is there for PeonyPetal, BladePetal and SplinePetal; bring a {kind} into "
             "its own frame."
         )
-    if isinstance(template, PeonyPetal) and pose == "similarity":
-        raise TargetError(
-            "a PeonyPetal has wave lengths of its own unit: use pose='rigid' with a target in that "
-            "unit, or fit a BladePetal."
-        )
     if len(targets) > 1 or not isinstance(targets[0], PointCloud):
         raise TargetError(f"pose={pose!r} is there for one cloud; give the others' pose.")
     if init is not None:

@@ -49,7 +49,7 @@ class MisfitMap(NamedTuple):
         explained = float(np.sum(sums[seen] ** 2 / total[seen])) / max(squares, 1e-300)
         # Means of noise alone explain as much of it as there are cells for every point.
         by_chance = min(np.count_nonzero(seen) / max(np.sum(total), 1.0), 1.0)
-        systematic = max(explained - by_chance, 0.0) / max(1 - by_chance, 1e-9)
+        systematic = float(max(explained - by_chance, 0.0) / max(1 - by_chance, 1e-9))
         return cls(mean, total, systematic)
 
     @property

@@ -40,6 +40,9 @@ _FEW = 384  # points that heights are found with
 _TILTED = 1  # planes that a second sweep looks at
 _ALIGNED = 8  # whose waves are looked at
 _TURNS = np.radians(np.linspace(-8.0, 8.0, 33))
+# In an unknown unit: those that outlines are sought in, and sizes that waves are sought in.
+_UNITS = (0.6, 1.0, 1.5)
+_SIZES, _SIZES_TRIED = np.geomspace(0.6, 1.7, 53), 2
 _SAME = 0.05  # rad, or relative
 
 
@@ -50,18 +53,25 @@ class Placed(NamedTuple):
         petal: In its own frame.
         rotation: From there to the cloud's frame.
         translation: Of its origin.
-        misfit: Median distance along its normal of plane, of points that have a place on it.
+        unit: Length of its unit in the cloud's.
+        misfit: Median distance of points along the normal of its plane, in the cloud's unit.
     """
 
     petal: PeonyPetal
     rotation: Float[np.ndarray, "3 3"]
     translation: Float[np.ndarray, "3"]
+    unit: float
     misfit: float
+
+    def into(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+        """Points of the cloud, in the petal's frame."""
+        return (points - self.translation) @ self.rotation / self.unit
 
     def apart(self, other: Placed) -> float:
         """By how much they differ: the angle between them in rad, or in parts of their lengths."""
         turn = np.arccos(np.clip((np.trace(self.rotation.T @ other.rotation) - 1) / 2, -1, 1))
-        shift = np.linalg.norm(self.translation - other.translation) / float(self.petal.b_y)
+        length = self.unit * float(self.petal.b_y)
+        shift = np.linalg.norm(self.translation - other.translation) / length
         sizes = [
             np.log(float(getattr(self.petal, name)) / float(getattr(other.petal, name)))
             for name in ("a_x", "b_y")
@@ -82,6 +92,7 @@ def placed_petals(
     template: PeonyPetal,
     free: Sequence[str],
     points: Float[np.ndarray, "n 3"],
+    pose: str,
     axes: Float[np.ndarray, "3 3"] | None = None,
 ) -> list[Placed]:
     """Petals that may be the cloud's, different ones, the likeliest first.
@@ -90,24 +101,32 @@ def placed_petals(
         template: Values of what is not free.
         free: Names of the parameters that may move.
         points: Of the petal, for the most part.
+        pose: "rigid", or "similarity" if their unit is not the model's: that of typical petals, roughly.
         axes: Of which the last is the normal of the petal's plane, if that is known.
     """
-    found = _seen_along(template, free, points, _plane(points) if axes is None else axes)
-    for placed in found[:_TILTED] if axes is None else []:
-        found = found + _seen_along(template, free, points, placed.rotation)
+    units = _UNITS if pose == "similarity" else (1.0,)
+    known = _plane(points) if axes is None else axes
+    found = [x for unit in units for x in _seen_along(template, free, points, known, unit)]
+    for placed in sorted(found, key=_misfit)[:_TILTED] if axes is None else []:
+        found += _seen_along(template, free, points, placed.rotation, placed.unit)
     found = _different(found)[:_ALIGNED]
     if "dx" in free:
-        found += [aligned for placed in found for aligned in _aligned(placed, free, points)]
+        sizes = _SIZES if pose == "similarity" else np.ones(1)
+        found += [x for placed in found for x in _aligned(placed, free, points, sizes)]
     return _different(found)
 
 
 def _different(found: list[Placed]) -> list[Placed]:
     """The likeliest first, without those that are nearly where a better one is."""
     chosen: list[Placed] = []
-    for placed in sorted(found, key=lambda placed: placed.misfit):
+    for placed in sorted(found, key=_misfit):
         if all(placed.apart(other) > _SAME for other in chosen):
             chosen.append(placed)
     return chosen
+
+
+def _misfit(placed: Placed) -> float:
+    return placed.misfit
 
 
 def _seen_along(
@@ -115,54 +134,70 @@ def _seen_along(
     free: Sequence[str],
     points: Float[np.ndarray, "n 3"],
     axes: Float[np.ndarray, "3 3"],
+    unit: float,
 ) -> list[Placed]:
-    """Petals seen along the last of three axes, from either side, the likeliest first."""
+    """Petals of a given unit, seen along the last of three axes, from either side."""
     found = []
     centre = points.mean(axis=0)
-    for flat in _outlines(template, free, ((points - centre) @ axes)[:, :2]):
+    for flat in _outlines(template, free, ((points - centre) @ axes)[:, :2] / unit):
         cosine, sine = np.cos(flat.angle), np.sin(flat.angle)
         turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
         petal = with_values(template, dict(zip(OUTLINE, flat.values, strict=True)))
         for side in (1.0, -1.0):
             rotation = axes @ turn @ np.diag([side, 1.0, side])
-            origin = centre + axes[:, :2] @ flat.shift
-            found.append(_raised(petal, free, points, rotation, origin))
-    return sorted(found, key=lambda placed: placed.misfit)
+            origin = centre + unit * axes[:, :2] @ flat.shift
+            found.append(_raised(petal, free, points, rotation, origin, unit))
+    return found
 
 
 def _aligned(
-    placed: Placed, free: Sequence[str], points: Float[np.ndarray, "n 3"]
+    placed: Placed,
+    free: Sequence[str],
+    points: Float[np.ndarray, "n 3"],
+    sizes: Float[np.ndarray, " g"],
 ) -> Iterator[Placed]:
     """The petal turned and shifted in its plane until the waves across it are those of the points.
 
-    Their length is known, so that a small turn and a phase are all there is to find; half a wave
-    farther the other sign fits as well.
+    Their length is known, so that a small turn and a phase are all there is to find, and in an unknown
+    unit by how much the petal is larger; half a wave farther the other sign fits as well.
     """
-    above = _Above.of(placed.petal, free, (points[:_FEW] - placed.translation) @ placed.rotation)
+    above = _Above.of(placed.petal, free, placed.into(points[:_FEW]))
     root = np.sqrt(1 / (1 + (above.left / (2 * above.misfit + 1e-300)) ** 2))
     rest = np.delete(above.basis, above.names.index("dx"), axis=1)
     basis = np.linalg.qr(root[:, None] * rest)[0]
     own = above.own[:, :2]
     middle = own.mean(axis=0)
-    cosine, sine = np.cos(_TURNS)[:, None], np.sin(_TURNS)[:, None]
     x, y = (own - middle).T
-    phase = 0.5 * np.pi * (cosine * x + sine * y + middle[0])
+    across = np.outer(np.cos(_TURNS), x) + np.outer(np.sin(_TURNS), y) + middle[0]
+    phase = 0.5 * np.pi * sizes[:, None, None] * across
     waves = root * np.stack([np.sin(phase), np.cos(phase)])
     waves = waves - (waves @ basis) @ basis.T
-    gram = np.einsum("itn,jtn->tij", waves, waves) + 1e-9 * np.eye(2)
-    right = np.einsum("itn,n->ti", waves, root * above.heights)
-    pair = np.linalg.solve(gram, right[..., None])[..., 0]
-    best = int(np.argmax(np.sum(pair * right, axis=1)))
-    # A sin(πx/2 + ψ) is dx sin(π(x - x₀)/2 - ½).
-    shift = -(np.arctan2(pair[best, 1], pair[best, 0]) + 0.5) * 2 / np.pi
-    turn = np.array([[cosine[best, 0], -sine[best, 0]], [sine[best, 0], cosine[best, 0]]])
-    rotation = placed.rotation.copy()
-    rotation[:, :2] = rotation[:, :2] @ turn
-    for half in (0.0, 2.0):
-        along = (shift + half + 2.0) % 4.0 - 2.0
-        origin = middle + turn @ (np.array([along, 0.0]) - middle)
-        place = placed.translation + placed.rotation[:, :2] @ origin
-        yield _raised(placed.petal, free, points, rotation, place)
+    gram = np.einsum("igtn,jgtn->gtij", waves, waves) + 1e-9 * np.eye(2)
+    right = waves @ (root * above.heights)
+    pair = np.linalg.solve(gram, np.moveaxis(right, 0, -1)[..., None])[..., 0]
+    gain = np.sum(pair * np.moveaxis(right, 0, -1), axis=-1)
+    for k in _peaks(gain.max(axis=1)):
+        t = int(np.argmax(gain[k]))
+        cosine, sine = np.cos(_TURNS[t]), np.sin(_TURNS[t])
+        turn = np.array([[cosine, -sine], [sine, cosine]])
+        rotation = placed.rotation.copy()
+        rotation[:, :2] = rotation[:, :2] @ turn
+        # A sin(πx/2 + ψ) is dx sin(π(x - x₀)/2 - ½).
+        shift = -(np.arctan2(pair[k, t, 1], pair[k, t, 0]) + 0.5) * 2 / np.pi
+        larger = {name: sizes[k] * float(getattr(placed.petal, name)) for name in ("a_x", "b_y")}
+        petal = with_values(placed.petal, {n: x for n, x in larger.items() if n in free})
+        for half in (0.0, 2.0):
+            along = ((shift + half + 2.0) % 4.0 - 2.0) / sizes[k]
+            origin = middle + turn @ (np.array([along, 0.0]) - middle)
+            place = placed.translation + placed.unit * placed.rotation[:, :2] @ origin
+            yield _raised(petal, free, points, rotation, place, placed.unit / sizes[k])
+
+
+def _peaks(gain: Float[np.ndarray, " g"]) -> list[int]:
+    """Where it is greater than around, the greatest first."""
+    before, after = np.append(-np.inf, gain[:-1]), np.append(gain[1:], -np.inf)
+    peaks = np.flatnonzero((gain >= before) & (gain > after))
+    return peaks[np.argsort(-gain[peaks])][:_SIZES_TRIED].tolist()
 
 
 def _plane(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3 3"]:
@@ -218,9 +253,10 @@ def _raised(
     points: Float[np.ndarray, "n 3"],
     rotation: Float[np.ndarray, "3 3"],
     origin: Float[np.ndarray, "3"],
+    unit: float,
 ) -> Placed:
     """The petal with the heights and the tilt that explain the points."""
-    above = _Above.of(petal, free, (points[:_FEW] - origin) @ rotation)
+    above = _Above.of(petal, free, (points[:_FEW] - origin) @ rotation / unit)
     *rise, level, a, b = above.amplitudes
     # The plane z = level + a x + b y is the petal's own.
     normal = np.array([-a, -b, 1.0]) / np.sqrt(1 + a * a + b * b)
@@ -228,8 +264,8 @@ def _raised(
     along /= np.linalg.norm(along)
     tilt = np.stack([np.cross(along, normal), along, normal], axis=-1)
     petal = with_values(petal, dict(zip(above.names, rise, strict=True)))
-    place = origin + rotation @ np.array([0.0, 0.0, level])
-    return Placed(petal, rotation @ tilt, place, above.misfit)
+    place = origin + unit * rotation @ np.array([0.0, 0.0, level])
+    return Placed(petal, rotation @ tilt, place, unit, unit * above.misfit)
 
 
 def _outlines(

@@ -47,11 +47,15 @@ _FOLLOWED = 2
 _LATER = ("tip_roll", "margin_curl", "keel", "tip_edge", "base_edge", "skew")
 _ROUGH, _FINE = 10, 30  # rounds
 # A start whose χ² is worse than the best's by more than this after rough rounds is not followed.
-_HOPELESS = 0.15  # of the number of points
+_HOPELESS = 0.1  # of the number of points
 _SLACK = 1.5  # spacings of the points
 _SETTLED = 0.3  # √χ² of a round's gain
 _STUCK = 50.0
-_JITTER = 0.01
+_JITTER = 0.01  # of the number of points, in the cost: foot points that jump to and fro
+_LEVEL, _PATIENCE = (
+    0.003,
+    4,
+)  # rounds in which the best cost does not fall by this part of the points
 _CELLS = 8  # per side, that points are counted in
 _CLEARINGS, _AGAIN = 3, 6
 _UNCHANGED = 0.002  # of the points
@@ -179,10 +183,15 @@ class Sheet:
     def descend(
         self, coordinates: Coordinates, model: AbstractSurface, rounds: int, tolerance: float
     ) -> tuple[_Place, int, float]:
-        """Steps from a model; how many there were, and how much the last one changed, in √χ²."""
+        """Steps from a model; how many there were, and how much the last ones changed, in √χ²."""
         here = self.place(coordinates, coordinates.inverse(model), None)
-        best, held, moved, number = here, 0.3, np.inf, 0
-        for number in range(1, rounds + 1):  # noqa: B007
+        best, held, moved, number, since, level = here, 0.3, np.inf, 0, 0, here.cost
+        for number in range(1, rounds + 1):
+            if best.cost < level - _LEVEL * self.count:
+                since, level = number, best.cost
+            if number - since > _PATIENCE:
+                # All that is left is the jitter of foot points on a shape that is not quite its own.
+                return best, number, min(moved, tolerance)
             there = self._step(coordinates, here, held)
             gain = here.cost - there.cost
             # Points that find nearer places on other parts of a rolled surface make costs jitter.
@@ -201,7 +210,7 @@ class Sheet:
     def _step(self, coordinates: Coordinates, here: _Place, held: float) -> _Place:
         root = held * np.sqrt(self.count) * np.ones(len(here.t))
         terms = (
-            here.cloud.with_noise(here.sigma),
+            dataclasses.replace(here.cloud.with_noise(here.sigma), slides=np.asarray(0)),
             dataclasses.replace(here.emptiness, sigma=jnp.asarray(here.sigma)),
         )
         whitening = whiten(here.information + np.diag(root**2) + np.eye(len(here.t)))

@@ -263,8 +263,8 @@ def _distance_warnings(part: Agreement, cloud: PointCloud, noise: float | None) 
     gross = int(np.count_nonzero(used > _GROSS * max(typical, 1e-12 * cloud.diagonal)))
     if gross:
         found.append(
-            f"{gross} points lie beyond {_GROSS:g} times the typical distance; remove strays, or give "
-            "them weight 0"
+            f"{gross} points lie beyond {_GROSS:g} times the typical distance: if they are strays, "
+            "use loss='robust'"
         )
     return found
 

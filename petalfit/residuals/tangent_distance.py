@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -58,16 +59,19 @@ class TangentDistance(AbstractTerm):
         data: The cloud.
         uv: Foot points.
         sigma: Noise, given or estimated from the distances.
+        slides: Newton steps that foot points make before they are held; 0 if they are where they belong.
     """
 
     data: Data
     uv: Float[Array, "n 2"]
     sigma: Float[Array, ""]
+    slides: Int[Array | np.ndarray, ""] = eqx.field(default_factory=lambda: np.asarray(2))
 
     def freeze(
         self, surface: AbstractSurface, free: int
     ) -> tuple[TangentDistance, FrozenDistance, Pull]:
-        data, uv = self.data, slide_foot_points(surface, self.data.points, self.uv, 2)
+        slides = jnp.asarray(self.slides)
+        data, uv = self.data, slide_foot_points(surface, self.data.points, self.uv, slides)
         nodes = jnp.asarray(edge_nodes(surface.domain), uv.dtype)
         both = frame(surface, jnp.concatenate([uv, nodes]))
         here, edge = (Frame(*(x[s] for x in both)) for s in (np.s_[: len(uv)], np.s_[len(uv) :]))
