@@ -44,6 +44,7 @@ def known_pose() -> FitResult:
         warnings=(),
         steps=4,
         starts=(Start("rib_frequency 20.02", free, 0.0501, 0.0), Start("other", free, 0.06, 12.3)),
+        freedom=float(len(names)),
     )
 
 

@@ -44,7 +44,8 @@ ModelName = Annotated[
     arg(
         name="model",
         metavar="MODEL",
-        help="Component to fit; `petalfit parameters MODEL` says what it has.",
+        help="Component to fit; `petalfit parameters MODEL` says what it has. auto fits all families of "
+        "petals, and keeps the one that explains a cloud best.",
     ),
 ]
 PoseOption = Annotated[
@@ -117,7 +118,7 @@ def fit(
     from petalfit.cli.results import CONTENTS, check_folder, write_results, written_whole
 
     check_folder(out)
-    kind = component(model)
+    kind = "auto" if model == "auto" else component(model)
     with progress(quiet) as show:
         show(f"reading {', '.join(map(str, targets))}")
         read = _read(targets, cameras)

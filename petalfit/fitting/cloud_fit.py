@@ -45,6 +45,7 @@ _TRIED, _TRIED_IN_DOUBT = (3, 0), (4, 3)
 # Poses whose logarithm of the likelihood is worse by more than this part of the points are not followed.
 _HOPELESS = 0.05
 _SAME_TURN = 0.1  # rad
+_FEWEST = 64  # points from which a plane and an outline can be told
 _POSE_NAMES = {"rigid": Posed.rigid, "similarity": Posed.similarity}
 _TYPICAL_EXTENT = 10.0  # root mean square distance of a petal's points from their middle
 
@@ -234,8 +235,8 @@ def _from_anywhere(
     for k, start in enumerate(placed[:at_first]):
         progress(f"approaching from pose {k + 1}")
         found.append(approached(start))
-    if again:
-        best = max(found, key=_likelihood)
+    best = max(found, key=_likelihood)
+    if again and np.count_nonzero(best.mixture.members > 0.5) > _FEWEST:
         progress("looking again along its normal")
         inside = points[best.mixture.members > 0.5][:START_POINTS]
         placed = placed_petals(smooth, free, inside, pose, np.asarray(_placement(best).rotation))

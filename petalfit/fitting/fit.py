@@ -6,7 +6,7 @@ import inspect
 import os
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias, overload
+from typing import Any, Literal, NamedTuple, TypeAlias, overload
 
 import jax
 import numpy as np
@@ -25,6 +25,7 @@ from petalfit.fitting.assembly import fit_assembly
 from petalfit.fitting.cloud_fit import fit_cloud
 from petalfit.fitting.colours import ColourFit, colours_on, fit_colours
 from petalfit.fitting.estimate import FitError
+from petalfit.fitting.families import FAMILIES, ranked
 from petalfit.fitting.joint import fit_joint
 from petalfit.fitting.result import Agreement, FitResult
 from petalfit.fitting.rounds import Settled
@@ -53,23 +54,29 @@ _FEWEST_FOR_SPLINES = 200
 def fit_petal(
     target: object,
     *,
-    model: type[AbstractSurface] | AbstractSurface = PeonyPetal,
+    model: type[AbstractSurface] | AbstractSurface | Literal["auto"] = PeonyPetal,
     **options: object,
 ) -> FitResult:
-    """Recover the parameters of a petal from a target: `fit` with a petal as the default model."""
+    """Recover the parameters of a petal from a target: `fit` with a petal as the default model.
+
+    With model="auto" all families of petals are fitted to a cloud, and the one that explains it best for
+    what it may choose is the result; its `ranking` has the others.
+    """
     return fit(model, target, **options)  # pyright: ignore[reportArgumentType]
 
 
 @overload
 def fit(
-    model: type[AbstractSurface] | AbstractSurface, target: object, **options: Any
+    model: type[AbstractSurface] | AbstractSurface | Literal["auto"],
+    target: object,
+    **options: Any,
 ) -> FitResult: ...
 @overload
 def fit(
     model: type[AbstractPattern] | AbstractPattern, target: object, **options: Any
 ) -> ColourFit: ...
 def fit(  # pyright: ignore[reportInconsistentOverload]
-    model: Fittable | type[Fittable],
+    model: Fittable | type[Fittable] | Literal["auto"],
     target: object,
     *,
     pose: str = "known",
@@ -88,7 +95,7 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
 
     Args:
         model: A component, or a pattern of colours; of an instance, parameters that are not free keep
-            their values.
+            their values. "auto" for the best of several petals.
         target: Of a cloud an (N, 3) array, a `PointCloud`, a trimesh mesh or cloud, or the path of a
             file; of a silhouette a `Silhouette`, an (H, W) mask, or the path of an image; or a list of
             these, which are fitted jointly, each in units of its own noise. Of a pattern a `Texture`, an
@@ -122,8 +129,18 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
         TargetError: The target cannot be used, or the options do not fit the model.
         FitError: The solver failed, and `throw` is True.
     """
-    template, names = _configuration(model, free, init)
     _check_options(pose, loss, noise)
+    if isinstance(model, str):
+        if model != "auto" or free is not None or init is not None:
+            raise TargetError(
+                f"model={model!r} takes neither free nor init; only 'auto' has a name."
+            )
+        options = {"pose": pose, "noise": noise, "loss": loss, "seed": seed}
+        result = _fit_best(as_targets(target, camera), options, progress or (lambda text: None))
+        if throw and not result.converged:
+            raise FitError(result.message, result)
+        return result
+    template, names = _configuration(model, free, init)
     if isinstance(template, AbstractPattern):
         if isinstance(noise, np.ndarray):
             raise TargetError("the noise of a pattern is one number.")
@@ -161,6 +178,30 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
     if throw and not result.converged:
         raise FitError(result.message, result)
     return result
+
+
+def _fit_best(
+    targets: list[PointCloud | Silhouette],
+    options: dict[str, Any],
+    progress: Callable[[str], None],
+) -> FitResult:
+    """The best of all families of petals for one cloud."""
+    if len(targets) > 1 or not isinstance(targets[0], PointCloud):
+        raise TargetError("model='auto' compares families on one cloud; name a model for masks.")
+    results, refusals = [], []
+    for family in FAMILIES:
+        name = family.__name__
+
+        def tell(text: str, name: str = name) -> None:
+            progress(f"{name}: {text}")
+
+        try:
+            results.append(fit(family, targets[0], throw=False, progress=tell, **options))
+        except TargetError as error:
+            refusals.append(error)
+    if not results:
+        raise refusals[0]
+    return ranked(results, options["loss"])
 
 
 def _as_texture(
@@ -221,6 +262,7 @@ def _fit_spline(
         warnings=tuple(warnings),
         steps=found.rounds,
         starts=(),
+        freedom=found.freedom,
     )
 
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import trimesh
 
 FORMAT = "petalfit.FitResult"
-VERSION = 2
+VERSION = 3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,6 +113,24 @@ class Agreement:
         return "px" if isinstance(self.target, Silhouette) else "length"
 
 
+@dataclasses.dataclass(frozen=True)
+class Rank:
+    """A family of petals among others that were fitted to the same cloud.
+
+    Attributes:
+        model: Name of the family.
+        delta_bic: How much greater its information criterion is than the best one's; 0 for the best.
+            Ten is a strong preference.
+        rms: Root mean square distance that it reached, in the target's unit.
+        freedom: How many numbers it could choose.
+    """
+
+    model: str
+    delta_bic: float
+    rms: float
+    freedom: float
+
+
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class FitResult(Estimate):
     """The outcome of a fit of a component to clouds and silhouettes.
@@ -121,6 +139,9 @@ class FitResult(Estimate):
         model: The fitted component, in its own frame.
         pose: From the model's frame to the target's.
         agreements: Every target beside the fitted surface, in the order in which they were given.
+        freedom: How many numbers the fit could choose: free parameters, those of a pose among them, or
+            what the coefficients of a smoothed sheet amount to.
+        ranking: Of model="auto", the families that were tried, the best first; else empty.
         profiles: Profile likelihoods by parameter, as far as they were asked for (`with_profile`).
         pose_stderr: Standard errors of a fitted pose: turn_x, turn_y and turn_z about the model's axes
             in rad, shift_x, shift_y and shift_z in the target's unit, and scale. Empty if it was known.
@@ -129,6 +150,8 @@ class FitResult(Estimate):
     model: AbstractSurface
     pose: Pose
     agreements: tuple[Agreement, ...]
+    freedom: float
+    ranking: tuple[Rank, ...] = ()
     pose_stderr: dict[str, float] = dataclasses.field(default_factory=dict)
     profiles: dict[str, Profile] = dataclasses.field(default_factory=dict)
 
@@ -198,6 +221,13 @@ class FitResult(Estimate):
 
         return with_profile(self, name, points, progress)
 
+    def ranked(self, ranking: tuple[Rank, ...]) -> FitResult:
+        """The result as the best of several families, which its message then says."""
+        _, *others = ranking
+        words = [f"{other.model} is worse by {other.delta_bic:.0f} in BIC" for other in others]
+        message = "; ".join([self.message, *words])
+        return dataclasses.replace(self, ranking=ranking, message=message)
+
     def mesh(self, resolution: tuple[int, int] = (65, 65)) -> trimesh.Trimesh:
         """The fitted surface as a triangle mesh with UVs, in the target's frame."""
         return moved(self.model.mesh(resolution), self.pose)
@@ -249,6 +279,7 @@ class FitResult(Estimate):
         }
         fields["pose"] = dataclasses.asdict(self.pose)
         fields["starts"] = [dataclasses.asdict(start) for start in self.starts]
+        fields["ranking"] = [dataclasses.asdict(rank) for rank in self.ranking]
         fields["profiles"] = {name: dataclasses.asdict(p) for name, p in self.profiles.items()}
         fields["agreements"] = [
             {
@@ -297,6 +328,7 @@ class FitResult(Estimate):
                 ),
                 "warnings": tuple(fields["warnings"]),
                 "starts": tuple(Start(**start) for start in fields["starts"]),
+                "ranking": tuple(Rank(**rank) for rank in fields["ranking"]),
                 "profiles": {
                     name: Profile(tuple(p["values"]), tuple(p["delta_chi2"]))
                     for name, p in fields["profiles"].items()

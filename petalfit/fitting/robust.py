@@ -39,6 +39,14 @@ def geman_mcclure(distance: Float[np.ndarray, " n"], scale: float) -> Float[np.n
     return 1 / (1 + (distance / scale) ** 2) ** 2
 
 
+def blurred_area(area: float, sigma: float) -> float:
+    """The area that points of a surface are spread over once noise has moved them.
+
+    Without it a surface that shrinks to a point, with all points for noise, would be the likeliest.
+    """
+    return area + 2 * np.pi * sigma**2
+
+
 def spread_of(distance: Float[np.ndarray, " n"]) -> float:
     """Standard deviation of a Gaussian that has the same median distance."""
     return 1.4826 * float(np.median(np.abs(distance)))
@@ -64,7 +72,8 @@ def mixture(
     distance: Float[np.ndarray, " n"],
     beyond: Float[np.ndarray, " n"],
     weights: Float[np.ndarray, " n"],
-    thickness: float,
+    volume: float,
+    area: float,
     sigma: float,
     known: bool = False,
 ) -> Mixture:
@@ -74,17 +83,18 @@ def mixture(
         distance: Of all points, along the normal.
         beyond: How far each lies beyond the edge, negative inside.
         weights: How many observations each counts for.
-        thickness: Of the clutter: the volume that it fills by the area of the surface.
+        volume: That the clutter fills.
+        area: Of the surface.
         sigma: Where to start.
         known: Whether that is the noise itself.
     """
     square, total, share = distance**2, float(np.sum(weights)), 0.5
-    constant = np.log(thickness / np.sqrt(2 * np.pi))
     members, likelihood = np.ones(len(distance)), -np.inf
-    smallest = 1e-9 * thickness
+    smallest = 1e-9 * volume / area
     for _ in range(_ITERATIONS):
         # As blurred by noise there is as much left of an even spread; see `petalfit.residuals.edge`.
-        logs = constant - np.log(sigma) - 0.5 * square / sigma**2 + log_ndtr(-beyond / sigma)
+        logs = np.log(volume / blurred_area(area, sigma)) - 0.5 * np.log(2 * np.pi * sigma**2)
+        logs = logs - 0.5 * square / sigma**2 + log_ndtr(-beyond / sigma)
         on = share * np.exp(logs)
         either = on + 1 - share
         members, likelihood = on / either, float(np.sum(weights * np.log(either)))
@@ -122,8 +132,8 @@ class Clutter:
     ) -> Mixture:
         """Which points belong to a surface, by where they lie beside it; see `mixture`."""
         start = spread_of(distance) if noise is None else noise
-        thickness = self.volume / float(np.sum(Patches.of(model).area))
-        return mixture(distance, beyond, weights, thickness, start, noise is not None)
+        area = float(np.sum(Patches.of(model).area))
+        return mixture(distance, beyond, weights, self.volume, area, start, noise is not None)
 
 
 class Cleared(NamedTuple):

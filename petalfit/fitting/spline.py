@@ -46,6 +46,7 @@ class SplineFit(NamedTuple):
         distance: Signed normal distance of every point, in the cloud's unit.
         uv: Its foot point.
         members: The probability that each point belongs to the sheet; 1 if all do.
+        freedom: How many numbers the smoothed coefficients amount to.
         rounds: How many there were.
         moved: Root mean square move of the last one's nodes, in standard deviations of the distances.
     """
@@ -55,6 +56,7 @@ class SplineFit(NamedTuple):
     distance: Float[np.ndarray, " n"]
     uv: Float[np.ndarray, "n 2"]
     members: Float[np.ndarray, " n"]
+    freedom: float
     rounds: int
     moved: float
 
@@ -89,7 +91,8 @@ def fit_spline(
     start = rows.T @ (mass[likely, None] * rows)
     start += np.sum(mass[likely]) * 1e-3 * bending + 1e-9 * np.eye(_COUNT)
     control = np.linalg.solve(start, rows.T @ (mass[likely, None] * own[likely]))
-    sheet, moved, members = _Points(own[likely], mass[likely]), np.inf, np.ones(len(own))
+    sheet, members = _Points(own[likely], mass[likely]), np.ones(len(own))
+    moved, freedom = np.inf, 0.0
     for number in range(_ROUNDS + (0 if clutter is None else _CLEARINGS)):
         if number >= _ROUNDS and clutter is not None:
             progress("looking who belongs to it")
@@ -99,7 +102,9 @@ def fit_spline(
             uv = np.asarray(_foot_points(_surface(control), sheet.padded))[: len(sheet.points)]
         progress(f"smoothing less and less, round {number + 1} of {_ROUNDS}")
         stiffness = 10 ** np.interp(number / _ROUNDS, [0.0, 0.7], [_STIFF, _LIMP])
-        new, uv, sigma = sheet.improved(control, uv, stiffness * bending, 4 if number == 0 else 2)
+        new, uv, sigma, freedom = sheet.improved(
+            control, uv, stiffness * bending, 4 if number == 0 else 2
+        )
         moved = float(np.sqrt(np.mean((new - control) ** 2)) / sigma)
         control = new
     model, own_pose = _in_own_frame(control, canonical, pose)
@@ -109,7 +114,7 @@ def fit_spline(
     everyone = np.zeros(len(points))
     everyone[np.flatnonzero(used)[order]] = members
     return SplineFit(
-        model, own_pose, float(own_pose.scale) * distance, feet, everyone, _ROUNDS, moved
+        model, own_pose, float(own_pose.scale) * distance, feet, everyone, freedom, _ROUNDS, moved
     )
 
 
@@ -173,8 +178,8 @@ class _Points:
         uv: Float[np.ndarray, "n 2"],
         stiffness: Float[np.ndarray, "k k"],
         iterations: int,
-    ) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "n 2"], float]:
-        """New coefficients, foot points on the old sheet, and the noise there."""
+    ) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "n 2"], float, float]:
+        """New coefficients, foot points on the old sheet, the noise there, and the freedom."""
         surface, n = _surface(control), len(self.points)
         start = jnp.asarray(pad_to(uv, len(self.padded)))
         uv = np.asarray(programs.refine(surface, self.padded, start, iterations))
@@ -194,7 +199,7 @@ class _Points:
         self._add_emptiness(system, control, total)
         distance = np.sum(normal * (self.points - position), axis=1)
         sigma = float(np.sqrt(np.average(distance**2, weights=self.weights)))
-        return system.solved(), uv, max(sigma, 1e-12)
+        return system.solved(), uv, max(sigma, 1e-12), system.freedom()
 
     def _add_emptiness(
         self, system: _System, control: Float[np.ndarray, "k 3"], total: float
@@ -223,6 +228,7 @@ class _System:
         tied = total * _TIED * (rows.mean(axis=0) + 1e-3)
         self.matrix = np.kron(total * stiffness + np.diag(tied), np.eye(3))
         self.right = (tied[:, None] * control).ravel()
+        self.data = np.zeros_like(self.matrix)
 
     def add(
         self,
@@ -235,8 +241,14 @@ class _System:
         root = np.sqrt(weights)
         slopes = rows[:, :, None] * directions[:, None, :] * root[:, None, None]
         slopes = slopes.reshape(len(rows), 3 * rows.shape[1])
-        self.matrix += slopes.T @ slopes
+        squares = slopes.T @ slopes
+        self.matrix += squares
+        self.data += squares
         self.right += slopes.T @ (target * root)
+
+    def freedom(self) -> float:
+        """Trace of the matrix that makes fitted distances of the given ones."""
+        return float(np.trace(np.linalg.solve(self.matrix, self.data)))
 
     def solved(self) -> Float[np.ndarray, "k 3"]:
         return np.linalg.solve(self.matrix, self.right).reshape(-1, 3)

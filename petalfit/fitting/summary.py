@@ -103,7 +103,7 @@ def summarise(
           for w in _about(part, seen.uv, bare(best.model), noise)),
         *(systematic(agreements[0], bare(best.model)) if finite else []),
     ]  # fmt: skip
-    pose = Pose.identity()
+    pose, freedom = Pose.identity(), float(len(names))
     pose_stderr = {}
     if isinstance(source, Posed) and in_space:
         pose = source.placement
@@ -136,6 +136,7 @@ def summarise(
         names=names,
         covariance=matrix,
         agreements=tuple(agreements),
+        freedom=freedom,
         converged=status == "converged",
         status=status,
         message="; ".join([message, *stray, *warnings, *_symmetries(model)]),

@@ -29,6 +29,7 @@ from petalfit.report.rounding import count, listed, plain
 from petalfit.report.scene import BASE, OBLIQUE, SIDE, Scene, distance_limit, draw_map, draw_view
 from petalfit.report.tables import (
     correlation_table,
+    families_table,
     parameter_table,
     provenance_list,
     starts_table,
@@ -120,7 +121,7 @@ def _head(result: FitResult) -> str:
 
 def _named(part: Agreement) -> str:
     if isinstance(part.target, PointCloud):
-        return count(int(np.count_nonzero(part.weights)), "point")
+        return count(int(np.count_nonzero(part.used)), "point")
     rows, columns = part.target.mask.shape
     return f"a mask of {columns} × {rows} pixels"
 
@@ -141,9 +142,11 @@ def _described(part: Agreement) -> tuple[str, dict[str, str]]:
             "rms distance": f"{plain(part.rms)} px",
             "noise σ": f"{plain(part.noise)} px",
         }
-    used = int(np.count_nonzero(part.weights))
-    without = len(part.target) - used
-    ignored = f" ({without:,} more without weight or taken for strays)" if without else ""
+    used, strays = int(np.count_nonzero(part.used)), part.strays
+    without = len(part.target) - used - strays
+    more = [f"{without:,} more without weight"] if without else []
+    more += [f"{strays:,} more taken for strays"] if strays else []
+    ignored = f" ({', '.join(more)})" if more else ""
     size = " × ".join(plain(side) for side in part.target.extent)
     sentence = (
         f"The points{ignored} lie {plain(part.rms)} (rms{times}) from the surface, with noise σ = "
@@ -218,7 +221,10 @@ def _pictures(result: FitResult) -> Iterator[str]:
     for part in result.agreements:
         if isinstance(part.target, Silhouette):
             yield _contour(result, part)
-    yield f"<h2>Starts</h2>{starts_table(result)}"
+    if result.ranking:
+        yield f"<h2>Families</h2>{families_table(result)}"
+    if result.starts:
+        yield f"<h2>Starts</h2>{starts_table(result)}"
 
 
 def _views(scene: Scene, total: int) -> str:

@@ -96,6 +96,22 @@ def starts_table(result: FitResult) -> str:
     )
 
 
+def families_table(result: FitResult) -> str:
+    """What each family of petals reached, the best first."""
+    rows = [
+        f'<tr><td>{html.escape(rank.model)}</td><td class="number">{plain(rank.rms, 4)}</td>'
+        f'<td class="number">{plain(rank.freedom, 3)}</td>'
+        f'<td class="number">{plain(rank.delta_bic, 3)}</td></tr>'
+        for rank in result.ranking
+    ]
+    return (
+        '<table class="starts"><thead><tr><th scope="col">family</th><th scope="col" '
+        'class="number">rms reached</th><th scope="col" class="number">numbers it may choose</th>'
+        '<th scope="col" class="number">ΔBIC to the best</th>'
+        "</tr></thead>\n<tbody>\n" + "\n".join(rows) + "\n</tbody></table>"
+    )
+
+
 def correlation_table(result: FitResult) -> str | None:
     """Correlations of the determined parameters as a heat map; None if there are not two."""
     declared = result.declared

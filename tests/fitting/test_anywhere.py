@@ -77,7 +77,7 @@ def test_the_mixture_is_the_likeliest_one():
         np.concatenate([sigma * rng.standard_normal(1400), thickness * rng.uniform(-0.5, 0.5, 600)])
     )
     inside = np.full(2000, -np.inf)
-    found = mixture(distance, inside, np.ones(2000), thickness, 1.0)
+    found = mixture(distance, inside, np.ones(2000), 1e6 * thickness, 1e6, 1.0)
 
     def cost(p: np.ndarray) -> float:
         share, sigma = 1 / (1 + np.exp(-p[0])), np.exp(p[1])
@@ -90,7 +90,9 @@ def test_the_mixture_is_the_likeliest_one():
     assert found.sigma == pytest.approx(sigma, rel=0.06)
     assert np.sum(found.members) == pytest.approx(1400, abs=80)
     # Beyond the edge a point is as far as one above the surface.
-    beyond = mixture(np.zeros(2000), distance, np.ones(2000), thickness, sigma, known=True)
+    beyond = mixture(
+        np.zeros(2000), distance, np.ones(2000), 1e6 * thickness, 1e6, sigma, known=True
+    )
     assert beyond.members[distance > 1.0].max() < 0.01
 
 
@@ -194,11 +196,11 @@ def test_strays_do_not_move_a_petal_in_its_own_frame():
     assert result.weights[75:].min() >= 0
     assert result.weights[75:].mean() > 0.97
     assert result.weights[:75].mean() < 0.15
-    body = pf.Ellipsoid(a_x=4.0, b_y=7.0, c_z=3.0)
+    body = pf.Ellipsoid(r_x=4.0, r_y=7.0, r_z=3.0)
     cloud = np.array(body.sample(800, seed=3, noise=0.02).points)
     cloud[:40] = rng.uniform(-9, 9, (40, 3))
     found = pf.fit(pf.Ellipsoid, cloud, loss="robust")
-    for name in ("a_x", "b_y", "c_z"):
+    for name in ("r_x", "r_y", "r_z"):
         assert found.values[name] == pytest.approx(float(getattr(body, name)), abs=0.02)
 
 

@@ -195,6 +195,23 @@ def test_a_petal_that_nobody_generated(name):
     assert 100 * max(there.mean(), back.mean()) / cloud.diagonal < 0.7
 
 
+def test_the_best_family_is_picked_and_says_by_how_much(posed, tmp_path):
+    points, _, blade = posed
+    result = pf.fit_petal(points, model="auto", pose="similarity")
+    first, second, third = result.ranking
+    assert (first.model, second.model, third.model) == ("BladePetal", "SplinePetal", "PeonyPetal")
+    assert result.values == blade.values
+    assert 0 == first.delta_bic < second.delta_bic < third.delta_bic
+    assert f"SplinePetal is worse by {second.delta_bic:.0f} in BIC" in result.message
+    # Less than all 300 coefficients, and more than a blade has parameters.
+    assert first.freedom == 26 < second.freedom < 200
+    result.save(tmp_path / "fit.json")
+    again = pf.FitResult.load(tmp_path / "fit.json")
+    assert (again.ranking, again.freedom) == (result.ranking, result.freedom)
+    result.report(tmp_path / "report.html")
+    assert "numbers it may choose" in (tmp_path / "report.html").read_text()
+
+
 def test_what_has_no_pose_is_refused():
     cloud = TRUTH.sample(300)
     with pytest.raises(pf.TargetError, match="is there for PeonyPetal, BladePetal"):

@@ -129,7 +129,7 @@ class TestContent:
 
     def test_provenance(self, page):
         assert f"petalfit {__version__}" in " ".join(page.text.split())
-        assert "petalfit.FitResult, version 2" in page.text
+        assert "petalfit.FitResult, version 3" in page.text
         assert posed().message in page.text
         assert repr(posed().pose.scale) in page.text
 
