@@ -92,6 +92,17 @@ class Posed(AbstractCarrier):
         place = np.asarray(self.origin) + unit * shift
         return Pose(np.asarray(self.turned), place, unit * float(self.scale))
 
+    def seen_from(self, other: Posed) -> Posed:
+        """The same surface at the same place, by turns and shifts in another's frame."""
+        from scipy.spatial.transform import Rotation
+
+        placed = self.placement
+        apart = np.asarray(other.rotation).T @ np.asarray(placed.rotation)
+        turn = Rotation.from_matrix(apart).as_rotvec()
+        shift = (np.asarray(placed.translation) - np.asarray(other.origin)) / float(other.unit)
+        scale = placed.scale / float(other.unit)
+        return Posed(self.surface, other.rotation, other.origin, other.unit, scale, *shift, *turn)
+
 
 def bare(model: AbstractSurface) -> AbstractSurface:
     """The component itself, without a pose around it."""

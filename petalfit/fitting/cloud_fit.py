@@ -341,7 +341,7 @@ def component_starts(
     ]  # fmt: skip
     cloud = observe(points, weights, None)
     found = []
-    for t in search(coordinates, shadows, _CANDIDATES):
+    for t, _ in search(coordinates, shadows, _CANDIDATES):
         model = minimise(coordinates, [cloud], coordinates.model(t), [None], 4, 0.5).model
         found.append((cloud.misfit(model), model))
     found.sort(key=lambda start: start[0])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import inspect
 import os
 from collections.abc import Callable, Iterable, Mapping
@@ -33,6 +34,7 @@ from petalfit.fitting.sheet import fit_sheet
 from petalfit.fitting.spline import fit_spline
 from petalfit.fitting.summary import strays, summarise, systematic
 from petalfit.fitting.targets import as_targets, each_once, with_noise_of_points
+from petalfit.fitting.view_pose import view_frames
 from petalfit.observations import (
     IMAGE_SUFFIXES,
     Camera,
@@ -49,6 +51,9 @@ Fittable: TypeAlias = AbstractSurface | AbstractPattern
 # Of a petal, in the model's unit, for a mask without a camera.
 _TYPICAL_LENGTH = 40.0
 _FEWEST_FOR_SPLINES = 200
+# Directions that a component in an unknown pose before cameras is followed from, until one follows its
+# contours as closely as this.
+_FRAMES, _RIGHT_PIXELS = 3, 0.5
 
 
 def fit_petal(
@@ -346,6 +351,9 @@ def run(
                 "masks, or several targets, need a component of one."
             )
         contours = [Contour.of(view) for view in views]
+        if pose != "known":
+            posed, names, ends = _fit_views_anywhere(template, names, contours, options)
+            return Fitted(posed, names, targets, ends)
         if any(view.camera is None for view in views):
             template = _without_camera(template, targets, contours, placed or {})
             names = (*names, *Posed.in_image)
@@ -353,6 +361,26 @@ def run(
             _check_view(contour, template)
         ends = fit_joint(template, names, clouds, contours, **options, glance_only=glance_only)
         return Fitted(template, names, [*clouds, *views], ends)
+
+
+def _fit_views_anywhere(
+    template: AbstractSurface,
+    free: tuple[str, ...],
+    contours: list[Contour],
+    options: dict[str, Any],
+) -> tuple[AbstractSurface, tuple[str, ...], list[Settled]]:
+    """A fit of masks with cameras, and of a component that lies anywhere before them."""
+    names = (*(name for name in free if name != "c_z"), *Posed.rigid)
+    frames = view_frames(template, names, contours, _FRAMES, options["progress"])
+    ends: list[Settled] = []
+    for k, frame in enumerate(frames):
+        options["progress"](f"following direction {k + 1} of {len(frames)}")
+        for end in fit_joint(frame, names, [], contours, **options):
+            ends.append(dataclasses.replace(end, label=f"direction {k + 1}, {end.label}"))
+        if min(end.seen[0].noise for end in ends) < _RIGHT_PIXELS:
+            break
+    ends.sort(key=lambda end: end.chi2)
+    return ends[0].model, names, ends
 
 
 def _without_camera(
@@ -442,13 +470,23 @@ def _check_pose(
     if pose == "known":
         return
     kind = type(template).__name__
+    views = [part for part in targets if isinstance(part, Silhouette)]
+    if len(views) == len(targets):
+        if pose == "similarity" or any(view.camera is None for view in views):
+            raise TargetError(
+                f"pose={pose!r} does not go with these masks: with a camera for each the pose may "
+                "be 'rigid'; without one it is 'known' to be a front view."
+            )
+        if isinstance(template, AbstractAssembly | SplinePetal):
+            raise TargetError(f"a {kind} is fitted to one cloud.")
+        return
     if not isinstance(template, PeonyPetal | BladePetal | SplinePetal):
         raise TargetError(
             f"pose={pose!r} is there for PeonyPetal, BladePetal and SplinePetal; bring a {kind} into "
             "its own frame."
         )
-    if len(targets) > 1 or not isinstance(targets[0], PointCloud):
-        raise TargetError(f"pose={pose!r} is there for one cloud; give the others' pose.")
+    if len(targets) > 1:
+        raise TargetError(f"pose={pose!r} is there for one cloud, or for masks with cameras.")
     if init is not None:
         raise TargetError(f"init has no pose to start from; leave it out with pose={pose!r}.")
 

@@ -219,14 +219,14 @@ def _smooth(joint: Joint, held: Coordinates) -> Iterator[Start]:
     joint.progress("searching the outline")
     shadows = [Shadow.of(view.contour) for view in joint.views.views]
     found: list[tuple[float, AbstractSurface]] = []
-    for t in search(held, shadows, _CANDIDATES):
+    for t, _ in search(held, shadows, _CANDIDATES):
         model = joint.minimise(held, held.model(t), 3, 0.5).model
         found.append((joint.misfit(model), model))
         if found[-1][0] < _RIGHT:
             break
     found.sort(key=lambda start: start[0])
     promising = [model for misfit, model in found[:_FOLLOWED] if misfit < 3 * found[0][0] + _RIGHT]
-    if isinstance(held.template, Posed):
+    if "scale" in held.free:
         promising = _rescaled(joint, held, promising[0])
     ends = [joint.minimise(held, model).model for model in promising]
     ends.sort(key=joint.misfit)

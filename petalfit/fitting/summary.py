@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 
@@ -74,7 +75,7 @@ def summarise(
     identifiable = dict(zip(names, map(bool, found), strict=True))
     bounds = at_bounds(values, names, declared)
     # In a pose of its own a model need not be bent to reach its target.
-    in_space = isinstance(source, Posed) and isinstance(targets[0], PointCloud)
+    in_space = isinstance(source, Posed) and "turn_x" in names
     strained = not in_space and any(identifiable[name] for name in bounds)
     misfits = [_misfit(part, strained, noise, in_space) for part in agreements]
     settled = finite and bool(best.moved <= _SETTLED)
@@ -91,6 +92,10 @@ def summarise(
             f"{best.moved:.2g} standard errors"
         )
     stray = [words for part in agreements for words in strays(part)]
+    if isinstance(best.model, Posed) and in_space:
+        # Whatever frame a start was followed in.
+        others = [_seen_from(end, best.model) for end in ends[1:]]
+        ends = [best, *others]
     starts = _starts(ends, names)
     flips = settled and best.moved > 0.05
     warnings = [
@@ -144,6 +149,12 @@ def summarise(
         steps=best.rounds,
         starts=starts,
     )
+
+
+def _seen_from(end: Settled, posed: Posed) -> Settled:
+    """An end with its pose in the frame of another."""
+    assert isinstance(end.model, Posed)
+    return dataclasses.replace(end, model=end.model.seen_from(posed))
 
 
 def _pose_unit(name: str, posed: Posed) -> float:

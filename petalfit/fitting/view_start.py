@@ -22,6 +22,7 @@ from petalfit.residuals import pull_back
 
 _CANDIDATES = 2048
 _IMPROVED = 256
+_GLANCED, _GLANCED_IMPROVED = 256, 32
 _STEPS = 8
 _DIRECTIONS = 48
 _NODES = 17  # per side of the domain
@@ -53,16 +54,30 @@ class Shadow(NamedTuple):
         return float(np.hypot(*np.ptp(self.place, axis=0)))
 
 
+class Candidate(NamedTuple):
+    """A surface that may have cast the shadows.
+
+    Attributes:
+        t: Its coordinates.
+        score: How badly it reaches as far as they do; 0 at the best.
+    """
+
+    t: Float[np.ndarray, " p"]
+    score: float
+
+
 def search(
-    coordinates: Coordinates, shadows: Sequence[Shadow], most: int
-) -> list[Float[np.ndarray, " p"]]:
-    """Coordinates t of different candidates, the best first, at most `most`.
+    coordinates: Coordinates, shadows: Sequence[Shadow], most: int, thorough: bool = True
+) -> list[Candidate]:
+    """Different candidates, the best first, at most `most`.
 
     Args:
         coordinates: The free parameters; those that are held keep the template's values.
         shadows: All that was seen, from one direction each.
         most: How many to return at the most.
+        thorough: Look at many; at an eighth as many for a first glance.
     """
+    candidates, improving = (_CANDIDATES, _IMPROVED) if thorough else (_GLANCED, _GLANCED_IMPROVED)
     angle = 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
     directions = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     matrices = np.stack([shadow.matrix for shadow in shadows])
@@ -73,18 +88,18 @@ def search(
         reach[k] = np.max(along, axis=0)
         # Where the contour is cut off, the petal reaches at least as far: more is no fault.
         known[k] = shadow.weight[np.argmax(along, axis=0)] > 0
-    candidates = coordinates.spread(_CANDIDATES)
-    found = np.asarray(_supports(coordinates, candidates, matrices, directions))
+    places = coordinates.spread(candidates)
+    found = np.asarray(_supports(coordinates, places, matrices, directions))
     gap = np.where((known == 0) & (found > reach), 0.0, found - reach) / scale[:, None]
     score = np.mean(np.log1p((gap / 3) ** 2), axis=(1, 2))
-    best = candidates[np.argsort(score)[:_IMPROVED]]
+    best = places[np.argsort(score)[:improving]]
     improved, score = map(
         np.asarray, _improve(coordinates, best, matrices, directions, reach, known, scale)
     )
-    chosen: list[np.ndarray] = []
-    for t in improved[np.argsort(score)]:
-        if all(np.max(np.abs(t - other)) > _DIFFERENT for other in chosen):
-            chosen.append(t)
+    chosen: list[Candidate] = []
+    for k in np.argsort(score):
+        if all(np.max(np.abs(improved[k] - other.t)) > _DIFFERENT for other in chosen):
+            chosen.append(Candidate(improved[k], float(score[k])))
         if len(chosen) == most:
             break
     return chosen
