@@ -238,11 +238,18 @@ class FitResult(Estimate):
             temporary.write_text(json.dumps(self._to_json(), indent=1, allow_nan=False) + "\n")
 
     @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> FitResult:
+    def load(
+        cls, path: str | os.PathLike[str], model: type[AbstractSurface] | None = None
+    ) -> FitResult:
         """Read what `save` wrote.
 
+        Args:
+            path: Of the file.
+            model: The component that was fitted, if it is none of petalfit's own.
+
         Raises:
-            TargetError: The file cannot be read, is damaged, or is no fit result of a known version.
+            TargetError: The file cannot be read, is damaged, or is no fit result of a known version, or
+                of a component that is not known.
         """
         try:
             with open(path, encoding="utf-8") as file:
@@ -258,8 +265,15 @@ class FitResult(Estimate):
                 f"{os.fspath(path)} has version {content.get('version')} of the format; this "
                 f"petalfit reads version {VERSION}."
             )
+        name = content.get("model")
+        kind = model or getattr(components, str(name), None)
+        if kind is None or kind.__name__ != name:
+            raise TargetError(
+                f"{os.fspath(path)} is a fit of a {name}, which petalfit does not know: give its class "
+                "as model."
+            )
         try:
-            return cls._from_json(content)
+            return cls._from_json(content, kind)
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise TargetError(
                 f"{os.fspath(path)} is a damaged fit result ({error!r}); fit again."
@@ -304,13 +318,13 @@ class FitResult(Estimate):
         return head | {name: _encode(value) for name, value in fields.items()}
 
     @classmethod
-    def _from_json(cls, content: dict[str, Any]) -> FitResult:
+    def _from_json(cls, content: dict[str, Any], kind: type[AbstractSurface]) -> FitResult:
         fields = {name: _decode(value) for name, value in content.items()}
         options = {
             name: np.array(x, float) if isinstance(x, list) else x
             for name, x in fields["options"].items()
         }
-        model = getattr(components, content["model"])(**options)
+        model = kind(**options)
         for name in parameters(model):
             model = with_value(model, name, float(fields["values"][name]))
         pose = fields["pose"]
