@@ -52,10 +52,8 @@ _SLACK = 1.5  # spacings of the points
 _SETTLED = 0.3  # √χ² of a round's gain
 _STUCK = 50.0
 _JITTER = 0.01  # of the number of points, in the cost: foot points that jump to and fro
-_LEVEL, _PATIENCE = (
-    0.003,
-    4,
-)  # rounds in which the best cost does not fall by this part of the points
+# Rounds in which the best cost does not fall by so large a part of the points end a descent.
+_PATIENCE, _LEVEL = 6, 0.003
 _CELLS = 8  # per side, that points are counted in
 _CLEARINGS, _AGAIN = 3, 6
 _UNCHANGED = 0.002  # of the points
