@@ -69,6 +69,11 @@ class Posed(AbstractCarrier):
     )
     similarity: ClassVar[tuple[str, ...]] = ("scale", *rigid)
 
+    @classmethod
+    def free_in(cls, pose: str) -> tuple[str, ...]:
+        """What is free of a pose that is "known", "rigid" or "similarity"."""
+        return {"known": (), "rigid": cls.rigid, "similarity": cls.similarity}[pose]
+
     @property
     def carried(self) -> AbstractSurface:
         return self.surface
@@ -91,6 +96,12 @@ class Posed(AbstractCarrier):
         unit = float(self.unit)
         place = np.asarray(self.origin) + unit * shift
         return Pose(np.asarray(self.turned), place, unit * float(self.scale))
+
+    def at_rest(self, surface: AbstractSurface) -> Posed:
+        """A surface at the same place, in a frame from which there are no turns and shifts."""
+        placed = self.placement
+        place = np.asarray(placed.translation, np.float64)
+        return Posed(surface, np.asarray(placed.rotation), place, np.float64(placed.scale))
 
     def seen_from(self, other: Posed) -> Posed:
         """The same surface at the same place, by turns and shifts in another's frame."""

@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from petalfit.components import Posed
 from petalfit.fitting import programs
+from petalfit.fitting.rounds import Seen
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,6 +55,10 @@ class Canonical:
             np.asarray(place),
             np.float64(scale),
         )
+
+    def measured(self, seen: Seen) -> Seen:
+        """What was seen in this frame, in the target's unit."""
+        return seen._replace(distance=self.unit * seen.distance, noise=self.unit * seen.noise)
 
     def order(self, points: Float[np.ndarray, "n 3"], seed: int) -> np.ndarray:
         """A random order that depends on where points are, and not on the order that they came in."""

@@ -114,13 +114,24 @@ class ObservedCloud(AbstractObserved):
 
     def seen(self, coordinates: Coordinates, t: np.ndarray, term: AbstractTerm) -> list[Seen]:
         assert isinstance(term, TangentDistance)
-        seen = programs.survey(coordinates, self.data, t, term.uv)
-        distance = np.asarray(seen.distance)
-        beyond = np.maximum(np.max(np.asarray(seen.beyond), axis=-1), 0.0)
-        off = np.where(beyond > 0, np.copysign(np.hypot(distance, beyond), distance), distance)
+        distance = off(*self.beside(coordinates, t, term))
         weights = np.asarray(self.data.weights)
-        chi2 = comparable(off, weights)
-        return [Seen(off, weights, float(term.sigma), "length", chi2, np.asarray(term.uv))]
+        chi2 = comparable(distance, weights)
+        return [Seen(distance, weights, float(term.sigma), "length", chi2, np.asarray(term.uv))]
+
+    def beside(
+        self, coordinates: Coordinates, t: np.ndarray, term: TangentDistance
+    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+        """Signed normal distances, and distances beyond the edge, negative inside; padding included."""
+        seen = programs.survey(coordinates, self.data, t, term.uv)
+        return np.asarray(seen.distance), np.max(np.asarray(seen.beyond), axis=-1)
+
+
+def off(
+    distance: Float[np.ndarray, " n"], beyond: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, " n"]:
+    """Signed distances to a surface that ends: along the normal, or to the edge beyond it."""
+    return np.copysign(np.hypot(distance, np.maximum(beyond, 0.0)), distance)
 
 
 def mean_logarithm(data: Data, distances: np.ndarray, weights: np.ndarray) -> float:
@@ -143,9 +154,7 @@ def feet(model: AbstractSurface, points: Float[Array, "n 3"]) -> Float[Array, "n
     would end on the wrong rib.
     """
     if isinstance(model, Posed) and isinstance(model.surface, PeonyPetal):
-        place = model.placement
-        own = (np.asarray(points) - place.translation) @ np.asarray(place.rotation)
-        return feet(model.surface, jnp.asarray(own / float(place.scale)))
+        return feet(model.surface, jnp.asarray(model.placement.into(np.asarray(points))))
     if not isinstance(model, PeonyPetal):
         return programs.refine(model, points, programs.nearest(model, points), 6)
     return peony_start.straight_below(model, points)

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array
 
 from petalfit.components import PeonyPetal, Posed
 from petalfit.fitting import peony_start, programs
@@ -26,12 +26,12 @@ from petalfit.fitting.rounds import (
     finish,
     minimise,
 )
+from petalfit.fitting.scan import Scan
 from petalfit.fitting.solve import Prior
-from petalfit.fitting.strays import on_sheets
 from petalfit.fitting.view_start import Shadow, search
 from petalfit.observations import PointCloud
 from petalfit.residuals import AbstractTerm, Data
-from petalfit.surfaces import AbstractSurface, Pose, value_at
+from petalfit.surfaces import AbstractSurface, Pose, turn_between, value_at
 
 # Points that a start is found with. Enough for the ribs, which are fine; and small clouds are fitted
 # with programs of a single size.
@@ -46,82 +46,7 @@ _TRIED, _TRIED_IN_DOUBT = (3, 0), (4, 3)
 _HOPELESS = 0.05
 _SAME_TURN = 0.1  # rad
 _FEWEST = 64  # points from which a plane and an outline can be told
-_POSE_NAMES = {"rigid": Posed.rigid, "similarity": Posed.similarity}
 _TYPICAL_EXTENT = 10.0  # root mean square distance of a petal's points from their middle
-
-
-@dataclasses.dataclass(frozen=True)
-class Scan:
-    """A cloud to be fitted.
-
-    Attributes:
-        points: All that have a weight.
-        weights: How many observations each counts for.
-        order: A random one; its first ones are the points for a start.
-        noise: σ, or None to estimate it.
-        clutter: What else is there, if not all points belong to the surface.
-        likely: Which points seem to belong to one.
-    """
-
-    points: Float[np.ndarray, "n 3"]
-    weights: Float[np.ndarray, " n"]
-    order: np.ndarray
-    noise: float | None
-    clutter: Clutter | None
-    likely: Bool[np.ndarray, " n"]
-
-    @classmethod
-    def of(
-        cls,
-        points: np.ndarray,
-        weights: np.ndarray,
-        order: np.ndarray,
-        noise: float | None,
-        loss: str,
-    ) -> Scan:
-        """A cloud that is clean, or that may hold anything besides if the loss is "robust"."""
-        if loss == "linear":
-            return cls(points, weights, order, noise, None, np.ones(len(points), bool))
-        return cls(points, weights, order, noise, Clutter.around(points), on_sheets(points))
-
-    def some(self, count: int) -> np.ndarray:
-        """Numbers of some points that seem to belong to a surface."""
-        return self.order[self.likely[self.order]][:count]
-
-    def settle(
-        self, coordinates: Coordinates, label: str, model: AbstractSurface, prior: Prior | None
-    ) -> Settled:
-        """Polish on ever more points: each stage starts within a few standard errors of its end."""
-        if len(self.order) > 2 * START_POINTS:
-            some = self.order[:START_POINTS]
-            model = self._polished(coordinates, model, some, 10, 0.1, prior)[0].model
-        polished, weights, log_likelihood = self._polished(
-            coordinates, model, np.arange(len(self.points)), _ROUNDS, _TOLERANCE, prior
-        )
-        cloud = ObservedCloud.of(self.points, weights, self.noise, self.order)
-        end = finish(coordinates, label, [cloud], polished, prior)
-        if log_likelihood is None:
-            return end
-        return dataclasses.replace(end, chi2=-2 * log_likelihood)
-
-    def _polished(
-        self,
-        coordinates: Coordinates,
-        model: AbstractSurface,
-        some: np.ndarray,
-        rounds: int,
-        tolerance: float,
-        prior: Prior | None,
-    ) -> tuple[Polished, np.ndarray, float | None]:
-        """Where the solver stops on some points, their weights there, and their likelihood if robust."""
-        points, weights = self.points[some], self.weights[some]
-        if self.clutter is None:
-            cloud = ObservedCloud(pad(points, weights, self.noise))
-            start = cloud.at(feet(model, cloud.data.points))
-            ends = minimise(coordinates, [cloud], model, [start], rounds, tolerance, prior)
-            return ends, weights, None
-        ends = clear(coordinates, self.clutter, model, points, weights, self.noise, prior)
-        return ends.polished, weights * ends.mixture.members, ends.mixture.log_likelihood
 
 
 def fit_cloud(
@@ -173,7 +98,7 @@ def fit_cloud(
         free = tuple(name for name in free if name != "c_z")
         found = _from_anywhere(template, free, pose, scan, progress)
         ends = [_in_target(end, frame) for end in found]
-        free = (*free, *_POSE_NAMES[pose])
+        free = (*free, *Posed.free_in(pose))
     best, *others = ends
     coordinates = Coordinates.of(best.model, free)
     return best.model, free, [with_all_points(coordinates, best, 0, cloud), *others]
@@ -183,8 +108,7 @@ def _in_target(end: Settled, frame: Canonical) -> Settled:
     """An end in the target's frame and unit."""
     assert isinstance(end.model, Posed)
     (seen,) = end.seen
-    seen = seen._replace(distance=frame.unit * seen.distance, noise=frame.unit * seen.noise)
-    return dataclasses.replace(end, model=frame.back(end.model), seen=(seen,))
+    return dataclasses.replace(end, model=frame.back(end.model), seen=(frame.measured(seen),))
 
 
 def _from_known(
@@ -202,7 +126,7 @@ def _from_known(
         )
 
     def settle(label: str, model: AbstractSurface, prior: Prior | None) -> Settled:
-        return scan.settle(coordinates, label, model, prior)
+        return _settled(scan, coordinates, label, model, prior)
 
     return follow(coordinates, starts, settle, progress)
 
@@ -211,7 +135,7 @@ def _from_anywhere(
     template: PeonyPetal, free: tuple[str, ...], pose: str, scan: Scan, progress: Progress
 ) -> list[Settled]:
     """Ends of the poses that the cloud leaves open."""
-    names = (*free, *_POSE_NAMES[pose])
+    names = (*free, *Posed.free_in(pose))
     progress("searching the pose")
     likely = scan.points[scan.some(START_POINTS)]
     smooth = template
@@ -245,7 +169,10 @@ def _from_anywhere(
     ends: list[Settled] = []
     for k, near in enumerate(found):
         lead = _likelihood(found[0]) - _likelihood(near)
-        turned = [_turn_between(near, other) for other in found[:k]]
+        turned = [
+            turn_between(_placement(near).rotation, _placement(other).rotation)
+            for other in found[:k]
+        ]
         if lead > _HOPELESS * len(points) or any(turn < _SAME_TURN for turn in turned):
             continue
         ends += _settled_poses(template, names, scan, near, f"pose {k + 1}", progress)
@@ -263,10 +190,8 @@ def _settled_poses(
     """Ends of one pose, one for each rib frequency that the cloud leaves open."""
     smooth = near.polished.model
     assert isinstance(smooth, Posed)
-    frame = Canonical(np.eye(3), np.zeros(3), 1.0)
-    posed = frame.back(dataclasses.replace(smooth, surface=programs.numbers(template)))
-    coordinates = Coordinates.of(posed, names)
-    smooth = frame.back(smooth)
+    coordinates = Coordinates.of(smooth.at_rest(programs.numbers(template)), names)
+    smooth = smooth.at_rest(programs.numbers(smooth.surface))
     (term,) = near.polished.terms
     starts = [("smooth", smooth)]
     if set(RIBS) & set(names):
@@ -274,7 +199,7 @@ def _settled_poses(
     starts = [(f"{label}, {name}", model) for name, model in starts]
 
     def settle(name: str, model: AbstractSurface, prior: Prior | None) -> Settled:
-        return scan.settle(coordinates, name, model, prior)
+        return _settled(scan, coordinates, name, model, prior)
 
     return follow(coordinates, starts, settle, progress)
 
@@ -288,10 +213,45 @@ def _placement(near: Cleared) -> Pose:
     return near.polished.model.placement
 
 
-def _turn_between(one: Cleared, other: Cleared) -> float:
-    """The angle between two poses, in rad."""
-    first, second = (np.asarray(_placement(x).rotation) for x in (one, other))
-    return float(np.arccos(np.clip((np.trace(first.T @ second) - 1) / 2, -1, 1)))
+def _settled(
+    scan: Scan,
+    coordinates: Coordinates,
+    label: str,
+    model: AbstractSurface,
+    prior: Prior | None,
+) -> Settled:
+    """Polish on ever more points: each stage starts within a few standard errors of its end."""
+    if len(scan.order) > 2 * START_POINTS:
+        some = scan.order[:START_POINTS]
+        model = _polished(scan, coordinates, model, some, 10, 0.1, prior)[0].model
+    polished, weights, log_likelihood = _polished(
+        scan, coordinates, model, np.arange(len(scan.points)), _ROUNDS, _TOLERANCE, prior
+    )
+    cloud = ObservedCloud.of(scan.points, weights, scan.noise, scan.order)
+    end = finish(coordinates, label, [cloud], polished, prior)
+    if log_likelihood is None:
+        return end
+    return dataclasses.replace(end, chi2=-2 * log_likelihood)
+
+
+def _polished(
+    scan: Scan,
+    coordinates: Coordinates,
+    model: AbstractSurface,
+    some: np.ndarray,
+    rounds: int,
+    tolerance: float,
+    prior: Prior | None,
+) -> tuple[Polished, np.ndarray, float | None]:
+    """Where the solver stops on some points, their weights there, and their likelihood if robust."""
+    points, weights = scan.points[some], scan.weights[some]
+    if scan.clutter is None:
+        cloud = ObservedCloud(pad(points, weights, scan.noise))
+        start = cloud.at(feet(model, cloud.data.points))
+        ends = minimise(coordinates, [cloud], model, [start], rounds, tolerance, prior)
+        return ends, weights, None
+    ends = clear(coordinates, scan.clutter, model, points, weights, scan.noise, prior)
+    return ends.polished, weights * ends.mixture.members, ends.mixture.log_likelihood
 
 
 def follow(
@@ -400,7 +360,8 @@ def rib_starts(
     # Ribs rise along the petal's own z axis.
     up, unit = np.array([0.0, 0.0, 1.0]), 1.0
     if isinstance(smooth, Posed):
-        up, unit = np.asarray(smooth.placement.rotation)[:, 2], float(smooth.placement.scale)
+        place = smooth.placement
+        up, unit = np.asarray(place.rotation)[:, 2], float(place.scale)
     basins = peony_start.rib_periodogram(
         float(value_at(coordinates.template, "rib_frequency")) if fixed else None,
         np.asarray(seen.distance) / unit,

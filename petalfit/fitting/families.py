@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -17,11 +16,6 @@ from petalfit.observations import PointCloud
 FAMILIES = (PeonyPetal, BladePetal, SplinePetal)
 
 
-class _Scored(NamedTuple):
-    result: FitResult
-    criterion: float
-
-
 def ranked(results: list[FitResult], loss: str) -> FitResult:
     """The result with the least information criterion, and in it the ranking of all.
 
@@ -30,19 +24,15 @@ def ranked(results: list[FitResult], loss: str) -> FitResult:
         loss: "linear" or "robust", as they were fitted.
     """
     with jax.enable_x64(True):
-        scored = [_Scored(result, information_criterion(result, loss)) for result in results]
-    scored.sort(key=lambda one: one.criterion)
-    best = scored[0]
-    ranking = tuple(
-        Rank(
-            type(one.result.model).__name__,
-            one.criterion - best.criterion,
-            one.result.rms,
-            one.result.freedom,
+        scored = [(information_criterion(result, loss), result) for result in results]
+    scored.sort(key=lambda one: one[0])
+    least, best = scored[0]
+    return best.ranked(
+        tuple(
+            Rank(type(result.model).__name__, criterion - least, result.rms, result.freedom)
+            for criterion, result in scored
         )
-        for one in scored
     )
-    return best.result.ranked(ranking)
 
 
 def information_criterion(result: FitResult, loss: str) -> float:

@@ -193,10 +193,8 @@ def _from_outlines(joint: Joint) -> Iterator[Ended]:
     coordinates = joint.coordinates
     if not joint.views.views:
         return
-    template, free = coordinates.template, coordinates.free
-    held = coordinates
-    if isinstance(bare(template), PeonyPetal) and "rib_amplitude" in free:
-        held = coordinates.around(with_values(template, {"rib_amplitude": 0.0})).holding(RIBS)
+    free = coordinates.free
+    held = without_ribs(coordinates)
     for label, smooth in _smooth(joint, held):
         yield joint.follow(label, smooth, held=tuple(n for n in free if n not in held.moving))
         if held is coordinates:
@@ -212,6 +210,14 @@ def _from_outlines(joint: Joint) -> Iterator[Ended]:
                 ribs = {"rib_frequency": basin.frequency, "rib_amplitude": basin.amplitude}
                 name = f"rib_frequency {basin.frequency:.2f}"
                 yield joint.follow(name, with_values(smooth, ribs))
+
+
+def without_ribs(coordinates: Coordinates) -> Coordinates:
+    """Those of a petal without ribs, which no outline shows while the rest is rough; or the same."""
+    template = coordinates.template
+    if not isinstance(bare(template), PeonyPetal) or "rib_amplitude" not in coordinates.free:
+        return coordinates
+    return coordinates.around(with_values(template, {"rib_amplitude": 0.0})).holding(RIBS)
 
 
 def _smooth(joint: Joint, held: Coordinates) -> Iterator[Start]:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from petalfit.fitting.patches import cells
 from petalfit.surfaces import Domain
 
 CELLS = 8  # per side of the domain
@@ -38,11 +39,10 @@ class MisfitMap(NamedTuple):
         weights: Float[np.ndarray, " n"],
     ) -> MisfitMap:
         """The map of signed distances at given foot points."""
-        low, high = np.array(domain).T
-        cells = np.clip((CELLS * (uv - low) / (high - low)).astype(int), 0, CELLS - 1)
+        cell = cells(domain, uv, CELLS)
         total, sums = np.zeros((CELLS, CELLS)), np.zeros((CELLS, CELLS))
-        np.add.at(total, tuple(cells.T), weights)
-        np.add.at(sums, tuple(cells.T), weights * distances)
+        np.add.at(total, cell, weights)
+        np.add.at(sums, cell, weights * distances)
         seen = total > 0
         mean = np.where(seen, sums / np.where(seen, total, 1.0), np.nan)
         squares = float(np.sum(weights * distances**2))

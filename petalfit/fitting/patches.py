@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from petalfit.fitting import programs
-from petalfit.surfaces import AbstractSurface
+from petalfit.surfaces import AbstractSurface, Domain
 
 SHAPE = (25, 33)
 
@@ -33,6 +33,15 @@ class Patches(NamedTuple):
         uv = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
         places = np.asarray(programs.places(model, uv))
         return cls(uv, places, areas_around(places.reshape(*SHAPE, 3)))
+
+
+def cells(
+    domain: Domain, uv: Float[np.ndarray, "n 2"], side: int
+) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    """In which of side x side cells of a domain places are, by u and by v."""
+    low, high = np.array(domain).T
+    across, along = np.clip((side * (uv - low) / (high - low)).astype(int), 0, side - 1).T
+    return across, along
 
 
 def areas_around(grid: Float[np.ndarray, "n_u n_v 3"]) -> Float[np.ndarray, "n_u n_v"]:

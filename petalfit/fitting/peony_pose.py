@@ -21,6 +21,7 @@ from petalfit.fitting import peony_start
 from petalfit.fitting.cloud import pad
 from petalfit.fitting.coordinates import with_values
 from petalfit.fitting.peony_start import OUTLINE
+from petalfit.surfaces import turn_between
 
 _DIRECTIONS = 48
 _ROLLS = 24
@@ -69,7 +70,7 @@ class Placed(NamedTuple):
 
     def apart(self, other: Placed) -> float:
         """By how much they differ: the angle between them in rad, or in parts of their lengths."""
-        turn = np.arccos(np.clip((np.trace(self.rotation.T @ other.rotation) - 1) / 2, -1, 1))
+        turn = turn_between(self.rotation, other.rotation)
         length = self.unit * float(self.petal.b_y)
         shift = np.linalg.norm(self.translation - other.translation) / length
         sizes = [

@@ -18,7 +18,7 @@ from petalfit.fitting.misfit import MisfitMap
 from petalfit.fitting.targets import target_from_json, target_to_json
 from petalfit.observations import PointCloud, Silhouette, TargetError
 from petalfit.observations.atomic import atomic_path
-from petalfit.surfaces import AbstractSurface, Pose, moved, with_value
+from petalfit.surfaces import AbstractSurface, Domain, Pose, moved, with_value
 
 if TYPE_CHECKING:
     import trimesh
@@ -107,6 +107,13 @@ class Agreement:
         squares = np.average(self.distances**2, weights=self.weights)
         return float(np.sqrt(squares)) if np.isfinite(squares) else float("inf")
 
+    def misfit(self, domain: Domain) -> MisfitMap | None:
+        """Where points lie off a surface of that domain together; None if foot points are not known."""
+        if self.uv is None:
+            return None
+        weights = np.where(self.used, self.weights, 0.0)
+        return MisfitMap.of(domain, self.uv, self.distances, weights)
+
     @property
     def unit(self) -> str:
         """Of the distances: "length", the target's, or "px"."""
@@ -168,11 +175,7 @@ class FitResult(Estimate):
     @property
     def misfit(self) -> MisfitMap | None:
         """Where the first target's points lie off the surface together; None for a silhouette."""
-        part = self.agreements[0]
-        if part.uv is None:
-            return None
-        weights = np.where(part.used, part.weights, 0.0)
-        return MisfitMap.of(self.model.domain, part.uv, part.distances, weights)
+        return self.agreements[0].misfit(self.model.domain)
 
     @property
     def distances(self) -> Float64[np.ndarray, " n"]:

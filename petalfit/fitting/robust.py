@@ -15,9 +15,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.special import log_ndtr
 
-from petalfit.fitting import programs
-from petalfit.fitting.cloud import ObservedCloud, feet, pad
+from petalfit.fitting.cloud import ObservedCloud, off, pad
 from petalfit.fitting.coordinates import Coordinates
+from petalfit.fitting.kernels import geman_mcclure, spread_of
 from petalfit.fitting.patches import Patches
 from petalfit.fitting.rounds import Polished, minimise
 from petalfit.fitting.solve import Prior
@@ -34,22 +34,12 @@ _UNCHANGED = 0.02  # of a probability
 _SOME = 1e-3  # and this share does not: a cloud is never known to be clean
 
 
-def geman_mcclure(distance: Float[np.ndarray, " n"], scale: float) -> Float[np.ndarray, " n"]:
-    """Weights of the kernel r²/(1 + r²) of Geman and McClure (1987), with r in units of the scale."""
-    return 1 / (1 + (distance / scale) ** 2) ** 2
-
-
 def blurred_area(area: float, sigma: float) -> float:
     """The area that points of a surface are spread over once noise has moved them.
 
     Without it a surface that shrinks to a point, with all points for noise, would be the likeliest.
     """
     return area + 2 * np.pi * sigma**2
-
-
-def spread_of(distance: Float[np.ndarray, " n"]) -> float:
-    """Standard deviation of a Gaussian that has the same median distance."""
-    return 1.4826 * float(np.median(np.abs(distance)))
 
 
 class Mixture(NamedTuple):
@@ -125,12 +115,16 @@ class Clutter:
     def mixture(
         self,
         model: AbstractSurface,
-        distance: Float[np.ndarray, " n"],
-        beyond: Float[np.ndarray, " n"],
+        distance: Float[np.ndarray, " padded"],
+        beyond: Float[np.ndarray, " padded"],
         weights: Float[np.ndarray, " n"],
         noise: float | None,
     ) -> Mixture:
-        """Which points belong to a surface, by where they lie beside it; see `mixture`."""
+        """Which points belong to a surface, by where they lie beside it; see `mixture`.
+
+        Distances may go on after the last of the weights, those of padding.
+        """
+        distance, beyond = np.abs(distance[: len(weights)]), beyond[: len(weights)]
         start = spread_of(distance) if noise is None else noise
         area = float(np.sum(Patches.of(model).area))
         return mixture(distance, beyond, weights, self.volume, area, start, noise is not None)
@@ -170,25 +164,18 @@ def approach(
     """
     base = weights * np.where(likely, 1.0, _UNLIKELY)
     cloud = ObservedCloud(pad(points, base, None))
-    uv, scale = feet(model, cloud.data.points), np.inf
+    term, scale, n = cloud.look(model, None), np.inf, len(points)
     while True:
-        term = cloud.look(model, cloud.at(uv))
-        distance = np.hypot(*beside(coordinates, cloud, model, term, len(points)).clip(0.0))
+        distance = np.abs(off(*cloud.beside(coordinates, coordinates.inverse(model), term))[:n])
         narrowest = _NARROWEST * spread_of(distance[likely])
         scale = min(_WIDEST / _NARROWEST * narrowest, scale)
-        seen = ObservedCloud(
-            pad(points, base * geman_mcclure(distance, max(scale, narrowest)), None)
-        )
-        polished = minimise(coordinates, [seen], model, [seen.at(term.uv)], 2, 0.3)
-        model = polished.model
-        (term,) = polished.terms
-        assert isinstance(term, TangentDistance)
-        uv = term.uv
+        kept = base * geman_mcclure(distance, max(scale, narrowest))
+        polished, seen, term = _followed(coordinates, model, points, kept, None, term, 2, 0.3)
+        model, term = polished.model, cloud.look(polished.model, term)
         if scale <= narrowest:
-            break
+            beside = cloud.beside(coordinates, coordinates.inverse(model), term)
+            return Cleared(polished, seen, clutter.mixture(model, *beside, weights, None))
         scale *= _NARROWING
-    distance, beyond = beside(coordinates, cloud, model, cloud.look(model, term), len(points))
-    return Cleared(polished, seen, clutter.mixture(model, distance, beyond, weights, None))
 
 
 def clear(
@@ -214,16 +201,13 @@ def clear(
     cloud = ObservedCloud(pad(points, weights, noise))
     term, rounds, members = cloud.look(model, None), 0, None
     while True:
-        distance, beyond = beside(coordinates, cloud, model, term, len(points))
-        found = clutter.mixture(model, distance, beyond, weights, noise)
-        seen = ObservedCloud(pad(points, weights * found.members, noise))
-        polished = minimise(
-            coordinates, [seen], model, [seen.at(term.uv)], _AT_ONCE, _TOLERANCE, prior
+        beside = cloud.beside(coordinates, coordinates.inverse(model), term)
+        found = clutter.mixture(model, *beside, weights, noise)
+        kept = weights * found.members
+        polished, seen, term = _followed(
+            coordinates, model, points, kept, noise, term, _AT_ONCE, _TOLERANCE, prior
         )
-        rounds += polished.rounds
-        model = polished.model
-        (term,) = polished.terms
-        assert isinstance(term, TangentDistance)
+        rounds, model = rounds + polished.rounds, polished.model
         changed = 1.0 if members is None else float(np.max(np.abs(found.members - members)))
         members = found.members
         settled = polished.moved <= _TOLERANCE and changed < _UNCHANGED
@@ -231,14 +215,20 @@ def clear(
             return Cleared(dataclasses.replace(polished, rounds=rounds), seen, found)
 
 
-def beside(
+def _followed(
     coordinates: Coordinates,
-    cloud: ObservedCloud,
     model: AbstractSurface,
+    points: Float[np.ndarray, "n 3"],
+    weights: Float[np.ndarray, " n"],
+    noise: float | None,
     term: TangentDistance,
-    count: int,
-) -> Float[np.ndarray, "2 n"]:
-    """Absolute normal distances of the first points, and their distances beyond the edge."""
-    seen = programs.survey(coordinates, cloud.data, coordinates.inverse(model), term.uv)
-    distance, beyond = np.abs(np.asarray(seen.distance)), np.max(np.asarray(seen.beyond), axis=-1)
-    return np.stack([distance, beyond])[:, :count]
+    rounds: int,
+    tolerance: float,
+    prior: Prior | None = None,
+) -> tuple[Polished, ObservedCloud, TangentDistance]:
+    """A few rounds on points with these weights: where they end, the cloud, and its term there."""
+    seen = ObservedCloud(pad(points, weights, noise))
+    polished = minimise(coordinates, [seen], model, [seen.at(term.uv)], rounds, tolerance, prior)
+    (end,) = polished.terms
+    assert isinstance(end, TangentDistance)
+    return polished, seen, end

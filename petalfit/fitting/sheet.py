@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy.spatial import KDTree
 from scipy.special import log_ndtr
 
@@ -21,8 +21,7 @@ from petalfit.fitting.blade_start import BladeStart, blade_starts
 from petalfit.fitting.canonical import Canonical
 from petalfit.fitting.cloud import ObservedCloud, pad, with_all_points
 from petalfit.fitting.coordinates import Coordinates, with_values
-from petalfit.fitting.patches import Patches
-from petalfit.fitting.robust import Clutter, beside
+from petalfit.fitting.patches import Patches, cells
 from petalfit.fitting.rounds import (
     AbstractObserved,
     Account,
@@ -33,8 +32,8 @@ from petalfit.fitting.rounds import (
     finish,
     whiten,
 )
+from petalfit.fitting.scan import Scan
 from petalfit.fitting.solve import Prior
-from petalfit.fitting.strays import on_sheets
 from petalfit.observations import PointCloud
 from petalfit.residuals import AbstractTerm, Emptiness, TangentDistance
 from petalfit.surfaces import AbstractSurface
@@ -152,10 +151,9 @@ class Sheet:
         points: Float[np.ndarray, "n 3"],
         weights: Float[np.ndarray, " n"],
         noise: float | None,
-        members: Float[np.ndarray, " n"] | None = None,
+        members: Float[np.ndarray, " n"],
     ) -> Sheet:
-        """Of points, each with the probability that it belongs to the sheet if they may not all do."""
-        members = np.ones(len(points)) if members is None else members
+        """Of points, each with the probability that it belongs to the sheet."""
         cloud = ObservedCloud(pad(points, weights * members, noise))
         return cls(cloud, ObservedEmptiness.of(points[members > 0.5]), len(points))
 
@@ -221,11 +219,9 @@ def _spread_out(
     model: AbstractSurface, cloud: TangentDistance, area: Float[np.ndarray, "n_u n_v"]
 ) -> float:
     """−Σ log density of points that are spread evenly within each of some cells of the surface."""
-    low, high = np.array(model.domain).T
-    fraction = (np.asarray(cloud.uv) - low) / (high - low)
-    cell = np.clip((_CELLS * fraction).astype(int), 0, _CELLS - 1)
     counts = np.zeros((_CELLS, _CELLS))
-    np.add.at(counts, tuple(cell.T), np.asarray(cloud.data.weights))
+    cell = cells(model.domain, np.asarray(cloud.uv), _CELLS)
+    np.add.at(counts, cell, np.asarray(cloud.data.weights))
     nodes = [np.minimum(np.arange(n) * _CELLS // n, _CELLS - 1) for n in area.shape]
     areas = np.zeros((_CELLS, _CELLS))
     np.add.at(areas, (nodes[0][:, None], nodes[1][None, :]), area)
@@ -269,19 +265,18 @@ def fit_sheet(
     order = frame.order(points[used], seed)
     own, mass = frame.into(points[used])[order], weights[used][order]
     noise = None if noise is None else noise / frame.unit
-    clutter = Clutter.around(own) if loss == "robust" else None
-    likely = np.ones(len(own), bool) if clutter is None else on_sheets(own)
-    sheets, masses = own[likely], mass[likely]
+    scan = Scan.of(own, mass, np.arange(len(own)), noise, loss)
+    sheets, masses = own[scan.likely], mass[scan.likely]
     if pose == "similarity":
         free = tuple(name for name in free if name != "length")
-    pose_names = {"known": (), "rigid": Posed.rigid, "similarity": Posed.similarity}[pose]
-    names = (*free, *pose_names)
+    names = (*free, *Posed.free_in(pose))
     starts: list[tuple[str, AbstractSurface]] = [("given", template)]
     if not from_template:
         progress("laying it flat")
         found = blade_starts(template, free, sheets[:_SOME], pose != "known")[:_FOLLOWED]
         starts = [(start.label, _started(start, pose)) for start in found]
-    rough = Sheet.of(sheets[:_ROUGHLY], masses[:_ROUGHLY], noise)
+    some = masses[:_ROUGHLY]
+    rough = Sheet.of(sheets[:_ROUGHLY], some, noise, np.ones(len(some)))
     ends = []
     for label, model in starts:
         progress(f"rough steps from {label}")
@@ -294,7 +289,7 @@ def fit_sheet(
         if cost - ends[0][0] < _HOPELESS * len(rough.cloud.data.points):
             progress(f"polishing from {label}")
             coordinates = Coordinates.of(model, names)
-            settled.append(_settle(coordinates, label, model, own, mass, noise, clutter, likely))
+            settled.append(_settle(coordinates, label, model, scan))
     settled.sort(key=lambda end: end.chi2)
     ends = [_in_target(end, names, frame, order) for end in settled]
     cloud = PointCloud(points, weights=weights)
@@ -321,50 +316,34 @@ class _Descended(NamedTuple):
 
 
 def _descended(
-    coordinates: Coordinates,
-    model: AbstractSurface,
-    points: Float[np.ndarray, "n 3"],
-    weights: Float[np.ndarray, " n"],
-    noise: float | None,
-    clutter: Clutter | None,
-    members: Float[np.ndarray, " n"],
-    rounds: int,
+    coordinates: Coordinates, model: AbstractSurface, scan: Scan, rounds: int
 ) -> _Descended:
     """Steps from a model; among clutter some more whenever other points belong to the sheet."""
-    sheet = Sheet.of(points, weights, noise, members)
+    points, weights, members = scan.points, scan.weights, scan.likely.astype(float)
+    sheet = Sheet.of(points, weights, scan.noise, members)
     place, number, moved = sheet.descend(coordinates, model, rounds, _SETTLED)
-    if clutter is None:
+    if scan.clutter is None:
         return _Descended(sheet, place, number, moved, None)
     clearings = 0
     while True:
         model, clearings = coordinates.model(place.t), clearings + 1
-        distance, beyond = beside(coordinates, sheet.cloud, model, place.cloud, len(points))
-        found = clutter.mixture(model, distance, beyond, weights, noise)
+        beside = sheet.cloud.beside(coordinates, coordinates.inverse(model), place.cloud)
+        found = scan.clutter.mixture(model, *beside, weights, scan.noise)
         changed, members = float(np.mean(np.abs(found.members - members))), found.members
-        sheet = Sheet.of(points, weights, noise, members)
+        sheet = Sheet.of(points, weights, scan.noise, members)
         place, more, moved = sheet.descend(coordinates, model, _AGAIN, _SETTLED)
         number += more
         if changed < _UNCHANGED or clearings == _CLEARINGS:
             return _Descended(sheet, place, number, moved, found.log_likelihood)
 
 
-def _settle(
-    coordinates: Coordinates,
-    label: str,
-    model: AbstractSurface,
-    points: Float[np.ndarray, "n 3"],
-    weights: Float[np.ndarray, " n"],
-    noise: float | None,
-    clutter: Clutter | None,
-    likely: Bool[np.ndarray, " n"],
-) -> Settled:
+def _settle(coordinates: Coordinates, label: str, model: AbstractSurface, scan: Scan) -> Settled:
     """All the way from a start, on ever more points."""
-    members, rounds, number = likely.astype(float), _FINE, 0
-    if len(points) > 2 * _SOME:
-        some = (points[:_SOME], weights[:_SOME], noise, clutter, members[:_SOME])
-        near = _descended(coordinates, model, *some, rounds)
+    rounds, number = _FINE, 0
+    if len(scan.points) > 2 * _SOME:
+        near = _descended(coordinates, model, scan.first(_SOME), rounds)
         model, rounds, number = coordinates.model(near.place.t), _AGAIN, near.rounds
-    end = _descended(coordinates, model, points, weights, noise, clutter, members, rounds)
+    end = _descended(coordinates, model, scan, rounds)
     settled = _finish(end.sheet, coordinates, label, end.place, number + end.rounds, end.moved)
     if end.log_likelihood is None:
         return settled
@@ -389,13 +368,8 @@ def _in_target(
     back = np.argsort(order)
     (seen,) = end.seen
     assert seen.uv is not None
-    seen = seen._replace(
-        distance=frame.unit * seen.distance[back],
-        weights=seen.weights[back],
-        noise=frame.unit * seen.noise,
-        uv=seen.uv[back],
-    )
-    end, model = dataclasses.replace(end, seen=(seen,)), end.model
+    seen = seen._replace(distance=seen.distance[back], weights=seen.weights[back], uv=seen.uv[back])
+    end, model = dataclasses.replace(end, seen=(frame.measured(seen),)), end.model
     if not isinstance(model, Posed):
         return end
     model = frame.back(model)

@@ -14,12 +14,13 @@ from petalfit.components import SplinePetal
 from petalfit.components.spline_petal import SEGMENTS, basis
 from petalfit.fitting import programs
 from petalfit.fitting.canonical import Canonical
+from petalfit.fitting.cloud import off
 from petalfit.fitting.flatten import flatten
 from petalfit.fitting.patches import areas_around
 from petalfit.fitting.robust import Clutter
 from petalfit.fitting.rounds import Progress
+from petalfit.fitting.scan import Scan
 from petalfit.fitting.sheet import spacing
-from petalfit.fitting.strays import on_sheets
 from petalfit.residuals import frame
 from petalfit.residuals.contact import Frame
 from petalfit.surfaces import AbstractSurface, Pose
@@ -48,7 +49,6 @@ class SplineFit(NamedTuple):
         members: The probability that each point belongs to the sheet; 1 if all do.
         freedom: How many numbers the smoothed coefficients amount to.
         rounds: How many there were.
-        moved: Root mean square move of the last one's nodes, in standard deviations of the distances.
     """
 
     model: SplinePetal
@@ -58,7 +58,6 @@ class SplineFit(NamedTuple):
     members: Float[np.ndarray, " n"]
     freedom: float
     rounds: int
-    moved: float
 
 
 def fit_spline(
@@ -82,40 +81,37 @@ def fit_spline(
     canonical = Canonical.of(points[used], "similarity")
     order = canonical.order(points[used], 0)
     own, mass = canonical.into(points[used])[order], weights[used][order]
-    clutter = Clutter.around(own) if loss == "robust" else None
-    likely = np.ones(len(own), bool) if clutter is None else on_sheets(own)
+    scan = Scan.of(own, mass, np.arange(len(own)), None, loss)
+    inside, members = scan.likely, np.ones(len(own))
     progress("laying it flat")
-    uv = _rectangle(flatten(own[likely]))
+    sheet = _Points(own[inside], mass[inside])
+    uv = _rectangle(flatten(sheet.points))
     rows = _rows(uv)
     bending = _bending()
-    start = rows.T @ (mass[likely, None] * rows)
-    start += np.sum(mass[likely]) * 1e-3 * bending + 1e-9 * np.eye(_COUNT)
-    control = np.linalg.solve(start, rows.T @ (mass[likely, None] * own[likely]))
-    sheet, members = _Points(own[likely], mass[likely]), np.ones(len(own))
-    moved, freedom = np.inf, 0.0
-    for number in range(_ROUNDS + (0 if clutter is None else _CLEARINGS)):
-        if number >= _ROUNDS and clutter is not None:
+    start = rows.T @ (sheet.weights[:, None] * rows)
+    start += np.sum(sheet.weights) * 1e-3 * bending + 1e-9 * np.eye(_COUNT)
+    control = np.linalg.solve(start, rows.T @ (sheet.weights[:, None] * sheet.points))
+    rounds = _ROUNDS if scan.clutter is None else _ROUNDS + _CLEARINGS
+    freedom = 0.0
+    for number in range(rounds):
+        if number >= _ROUNDS and scan.clutter is not None:
             progress("looking who belongs to it")
-            members = _members(control, own, mass, clutter)
+            members = _members(control, own, mass, scan.clutter)
             inside = members > 0.5
             sheet = _Points(own[inside], (mass * members)[inside])
             uv = np.asarray(_foot_points(_surface(control), sheet.padded))[: len(sheet.points)]
-        progress(f"smoothing less and less, round {number + 1} of {_ROUNDS}")
+        progress(f"smoothing less and less, round {number + 1} of {rounds}")
         stiffness = 10 ** np.interp(number / _ROUNDS, [0.0, 0.7], [_STIFF, _LIMP])
-        new, uv, sigma, freedom = sheet.improved(
-            control, uv, stiffness * bending, 4 if number == 0 else 2
-        )
-        moved = float(np.sqrt(np.mean((new - control) ** 2)) / sigma)
-        control = new
+        uv, system = sheet.system(control, uv, stiffness * bending, 4 if number == 0 else 2)
+        control = system.solved()
+        if number + 1 == rounds:
+            freedom = system.freedom()
     model, own_pose = _in_own_frame(control, canonical, pose)
-    everything = (points - np.asarray(own_pose.translation)) @ np.asarray(own_pose.rotation)
-    distance, beyond, feet = _beside(model, everything / float(own_pose.scale))
-    distance = np.copysign(np.hypot(distance, np.maximum(beyond, 0.0)), distance)
+    distance, beyond, feet = _beside(model, own_pose.into(points))
+    distance = float(own_pose.scale) * off(distance, beyond)
     everyone = np.zeros(len(points))
     everyone[np.flatnonzero(used)[order]] = members
-    return SplineFit(
-        model, own_pose, float(own_pose.scale) * distance, feet, everyone, freedom, _ROUNDS, moved
-    )
+    return SplineFit(model, own_pose, distance, feet, everyone, freedom, rounds)
 
 
 def _members(
@@ -127,7 +123,7 @@ def _members(
     """The probability that each point belongs to the sheet of some coefficients."""
     surface = _surface(control)
     distance, beyond, _ = _beside(surface, points)
-    return clutter.mixture(surface, np.abs(distance), beyond, weights, None).members
+    return clutter.mixture(surface, distance, beyond, weights, None).members
 
 
 def _foot_points(surface: SplinePetal, padded: Float[np.ndarray, "n 3"]) -> Float[Array, "n 2"]:
@@ -172,14 +168,14 @@ class _Points:
         nodes = np.stack(np.meshgrid(side - 0.5, side, indexing="ij"), axis=-1).reshape(-1, 2)
         self.nodes = _rows(nodes)
 
-    def improved(
+    def system(
         self,
         control: Float[np.ndarray, "k 3"],
         uv: Float[np.ndarray, "n 2"],
         stiffness: Float[np.ndarray, "k k"],
         iterations: int,
-    ) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "n 2"], float, float]:
-        """New coefficients, foot points on the old sheet, the noise there, and the freedom."""
+    ) -> tuple[Float[np.ndarray, "n 2"], _System]:
+        """Foot points on the sheet of some coefficients, and the equations of new ones there."""
         surface, n = _surface(control), len(self.points)
         start = jnp.asarray(pad_to(uv, len(self.padded)))
         uv = np.asarray(programs.refine(surface, self.padded, start, iterations))
@@ -197,9 +193,7 @@ class _Points:
             along = conormals[on, edge]
             system.add(rows[on], along, np.sum(along * self.points[on], axis=1), self.weights[on])
         self._add_emptiness(system, control, total)
-        distance = np.sum(normal * (self.points - position), axis=1)
-        sigma = float(np.sqrt(np.average(distance**2, weights=self.weights)))
-        return system.solved(), uv, max(sigma, 1e-12), system.freedom()
+        return uv, system
 
     def _add_emptiness(
         self, system: _System, control: Float[np.ndarray, "k 3"], total: float
@@ -228,7 +222,7 @@ class _System:
         tied = total * _TIED * (rows.mean(axis=0) + 1e-3)
         self.matrix = np.kron(total * stiffness + np.diag(tied), np.eye(3))
         self.right = (tied[:, None] * control).ravel()
-        self.data = np.zeros_like(self.matrix)
+        self.held = self.matrix.copy()
 
     def add(
         self,
@@ -241,14 +235,12 @@ class _System:
         root = np.sqrt(weights)
         slopes = rows[:, :, None] * directions[:, None, :] * root[:, None, None]
         slopes = slopes.reshape(len(rows), 3 * rows.shape[1])
-        squares = slopes.T @ slopes
-        self.matrix += squares
-        self.data += squares
+        self.matrix += slopes.T @ slopes
         self.right += slopes.T @ (target * root)
 
     def freedom(self) -> float:
         """Trace of the matrix that makes fitted distances of the given ones."""
-        return float(np.trace(np.linalg.solve(self.matrix, self.data)))
+        return len(self.matrix) - float(np.trace(np.linalg.solve(self.matrix, self.held)))
 
     def solved(self) -> Float[np.ndarray, "k 3"]:
         return np.linalg.solve(self.matrix, self.right).reshape(-1, 3)

@@ -6,6 +6,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
 
+from petalfit.fitting.kernels import geman_mcclure, spread_of
+
 _NEIGHBOUR = 8  # whose distance tells how dense it is around a point
 _PLANE = 12  # neighbours that a local plane is laid through
 _SPLIT = 0.7  # of the variance: two kinds of density rather than one that varies
@@ -32,7 +34,7 @@ def on_sheets(points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
         if len(kept) <= _FEWEST:
             break
         far, off = _local_planes(points[kept])
-        flat = np.abs(off) <= _OFF * 1.4826 * np.median(np.abs(off))
+        flat = np.abs(off) <= _OFF * spread_of(off)
         kept = kept[flat & (far <= _SPARSE * np.median(far))]
     found = np.zeros(len(points), bool)
     found[kept] = True
@@ -70,5 +72,5 @@ def _local_planes(
         normal = np.linalg.eigh(spread)[1][:, :, 0]
         off = np.einsum("nki,ni->nk", centred, normal)
         scale = 2 * np.median(np.abs(off), axis=1, keepdims=True) + 1e-300
-        weights = 1 / (1 + (off / scale) ** 2) ** 2
+        weights = geman_mcclure(off, scale)
     return gaps[:, _NEIGHBOUR], np.einsum("ni,ni->n", points - middle, normal)

@@ -11,7 +11,7 @@ import numpy as np
 from petalfit.components import Parameter, Posed, bare, parameters
 from petalfit.fitting.determined import combinations, covariance
 from petalfit.fitting.estimate import Start, rivals, standard_errors
-from petalfit.fitting.misfit import MisfitMap
+from petalfit.fitting.kernels import spread_of
 from petalfit.fitting.result import Agreement, FitResult
 from petalfit.fitting.rounds import Settled
 from petalfit.observations import PointCloud, Silhouette
@@ -220,7 +220,7 @@ def _misfit(part: Agreement, strained: bool, noise: float | None, in_space: bool
     rms = part.rms
     if isinstance(part.target, Silhouette):
         # A few places are matched across a fold, far away.
-        rms = 1.4826 * float(np.median(np.abs(part.distances[part.weights > 0])))
+        rms = spread_of(part.distances[part.weights > 0])
         frame = "its camera is not where it is said to be, or it has another shape"
         tolerable = max(0.5 * tolerable, 1.0)
     else:
@@ -268,7 +268,7 @@ def strays(part: Agreement) -> list[str]:
 
 def _distance_warnings(part: Agreement, cloud: PointCloud, noise: float | None) -> list[str]:
     used = np.abs(part.distances[part.used])
-    typical = 1.4826 * float(np.median(used))
+    typical = spread_of(used)
     found = []
     if noise is not None and part.rms > 1.5 * noise:
         found.append(f"distances are {part.rms / noise:.1f} times the given noise")
@@ -283,10 +283,10 @@ def _distance_warnings(part: Agreement, cloud: PointCloud, noise: float | None) 
 
 def systematic(part: Agreement, model: AbstractSurface) -> list[str]:
     """A warning if distances have a pattern on the surface."""
-    if part.uv is None or part.rms < _ROUNDING * _size(part.target):
+    found = part.misfit(model.domain)
+    if found is None or part.rms < _ROUNDING * _size(part.target):
         return []
-    weights = np.where(part.used, part.weights, 0.0)
-    return MisfitMap.of(model.domain, part.uv, part.distances, weights).words()
+    return found.words()
 
 
 def _coverage_warnings(model: AbstractSurface, uv: np.ndarray, members: np.ndarray) -> list[str]:

@@ -8,11 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from petalfit.components import PeonyPetal, Posed
+from petalfit.components import Posed
 from petalfit.fitting import programs
-from petalfit.fitting.coordinates import Coordinates, with_values
-from petalfit.fitting.joint import Joint
-from petalfit.fitting.peony_start import RIBS
+from petalfit.fitting.coordinates import Coordinates
+from petalfit.fitting.joint import Joint, without_ribs
+from petalfit.fitting.patches import Patches
 from petalfit.fitting.rounds import Progress
 from petalfit.fitting.view_start import Shadow, search
 from petalfit.fitting.views import ObservedViews
@@ -38,11 +38,13 @@ def view_frames(
     """
     shadows = [Shadow.of(contour) for contour in contours]
     centre, views = middle(shadows), ObservedViews.of(contours)
+    places = Patches.of(programs.numbers(template)).places
+    own = 0.5 * (places.min(axis=0) + places.max(axis=0))
     glances = []
     for k, rotation in enumerate(_TURNS):
         progress(f"searching the pose, direction {k + 1} of {len(_TURNS)}")
-        posed = Posed(template, rotation, centre - rotation @ _centre(template), np.float64(1.0))
-        coordinates = _smooth(Coordinates.of(posed, names))
+        posed = Posed(template, rotation, centre - rotation @ own, np.float64(1.0))
+        coordinates = without_ribs(Coordinates.of(posed, names))
         (best,) = search(coordinates, shadows, 1, thorough=False)
         glances.append((best.score, coordinates, best.t))
     glances.sort(key=lambda glance: glance[0])
@@ -51,21 +53,9 @@ def view_frames(
         progress(f"looking closer, direction {k + 1} of {_LOOKED_AT}")
         joint = Joint(coordinates, (), views, progress)
         model = joint.minimise(coordinates, coordinates.model(t), 4, 0.5).model
-        place = model.placement
-        frame = Posed(
-            template, np.asarray(place.rotation), np.asarray(place.translation), np.float64(1.0)
-        )
-        found.append((joint.misfit(model), frame))
+        found.append((joint.misfit(model), model.at_rest(template)))
     found.sort(key=lambda one: one[0])
     return [frame for _, frame in found[:most]]
-
-
-def _smooth(coordinates: Coordinates[Posed]) -> Coordinates[Posed]:
-    """A petal without ribs, which no outline shows while the rest is rough."""
-    if not isinstance(coordinates.template.surface, PeonyPetal) or RIBS[1] not in coordinates.free:
-        return coordinates
-    flat = with_values(coordinates.template, {RIBS[1]: 0.0})
-    return coordinates.around(flat).holding(RIBS)
 
 
 def middle(shadows: Sequence[Shadow]) -> Float[np.ndarray, "3"]:
@@ -77,15 +67,6 @@ def middle(shadows: Sequence[Shadow]) -> Float[np.ndarray, "3"]:
         rows.append(along[:, :3])
         right.append(-along[:, 3])
     return np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=1e-9)[0]
-
-
-def _centre(template: AbstractSurface) -> Float[np.ndarray, "3"]:
-    """Of the component as it is by default."""
-    (u_low, u_high), (v_low, v_high) = template.domain
-    u, v = np.meshgrid(np.linspace(u_low, u_high, 9), np.linspace(v_low, v_high, 9))
-    uv = np.stack([u.ravel(), v.ravel()], axis=-1)
-    places = np.asarray(programs.places(programs.numbers(template), uv))
-    return 0.5 * (places.min(axis=0) + places.max(axis=0))
 
 
 def _quarter_turns() -> list[Float[np.ndarray, "3 3"]]:

@@ -15,6 +15,7 @@ from scipy.spatial import KDTree
 from petalfit.compilation import bucket, pad_to
 from petalfit.fitting import programs
 from petalfit.fitting.coordinates import Coordinates
+from petalfit.fitting.kernels import spread_of
 from petalfit.fitting.rounds import AbstractObserved, Account, Seen
 from petalfit.observations import Contour
 from petalfit.residuals import AbstractTerm, ContourDistance
@@ -134,7 +135,7 @@ class View:
     def noise(self, match: Match) -> float:
         """Standard deviation of the contour's distances, in pixels, robustly."""
         counts = match.forward & (match.length > 0)
-        return max(1.4826 * float(np.median(np.abs(match.distance[counts]))), _FINEST)
+        return max(spread_of(match.distance[counts]), _FINEST)
 
     def correlated(self, match: Match, noise: float) -> float:
         """How many neighbouring pixels of the contour count as one observation."""

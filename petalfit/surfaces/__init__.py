@@ -16,6 +16,7 @@ from petalfit.surfaces.pose import Pose as Pose
 from petalfit.surfaces.pose import about_x as about_x
 from petalfit.surfaces.pose import about_y as about_y
 from petalfit.surfaces.pose import rotation as rotation
+from petalfit.surfaces.pose import turn_between as turn_between
 from petalfit.surfaces.sampling import sample_uv as sample_uv
 from petalfit.surfaces.shapes import Cylinder as Cylinder
 from petalfit.surfaces.shapes import Ellipsoid as Ellipsoid

@@ -45,6 +45,11 @@ class Pose(eqx.Module):
         turned = jnp.asarray(points) @ jnp.asarray(self.rotation).T
         return jnp.asarray(self.scale * turned + self.translation)
 
+    def into(self, points: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
+        """Points of the target's frame, in the model's; for a pose without leading axes."""
+        turned = (points - np.asarray(self.translation)) @ np.asarray(self.rotation)
+        return turned / float(self.scale)
+
     def __matmul__(self, inner: Pose) -> Pose:
         """First the inner pose, then this one; neither has leading axes."""
         return Pose(
@@ -61,6 +66,12 @@ class Pose(eqx.Module):
         matrix[..., :3, 3] = self.translation
         matrix[..., 3, 3] = 1.0
         return matrix
+
+
+def turn_between(one: Float[Numbers, "3 3"], other: Float[Numbers, "3 3"]) -> float:
+    """The angle of the rotation from one frame to another, in rad."""
+    cosine = 0.5 * (np.trace(np.asarray(one).T @ np.asarray(other)) - 1)
+    return float(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
 def rotation(turn: Float[Array, "3"]) -> Float[Array, "3 3"]:
