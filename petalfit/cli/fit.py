@@ -15,10 +15,10 @@ Targets = Annotated[
     Positional[tuple[Path, ...]],
     arg(
         metavar="TARGET",
-        help="Point cloud (.ply .xyz .txt .csv .npy .npz) or mesh (.ply .obj .stl .glb .gltf), in the "
-        "frame and unit of the model: its length along +y from the plane y = 0, its width along x. Or "
-        "mask (.png .tif), white where the petal is, or with an alpha channel; `petalfit mask` makes one "
-        "of a photo. Several targets are fitted together.",
+        help="Point cloud (.ply .xyz .txt .csv .npy .npz) or mesh (.ply .obj .stl .glb .gltf), without "
+        "--pose in the frame and unit of the model: its length along +y from the plane y = 0, its width "
+        "along x. Or mask (.png .tif), white where the petal is, or with an alpha channel; `petalfit "
+        "mask` makes one of a photo. Several targets are fitted together.",
     ),
 ]
 Cameras = Annotated[
@@ -53,7 +53,7 @@ PoseOption = Annotated[
     arg(
         name="pose",
         help="Whether the target is in the model's frame and unit, somewhere in that unit, or somewhere "
-        "in any: rigid is there for petals, similarity for BladePetal and SplinePetal.",
+        "in any. The last two are there for clouds of petals, rigid for masks with cameras too.",
     ),
 ]
 LossOption = Annotated[

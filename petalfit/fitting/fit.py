@@ -5,9 +5,9 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeAlias, overload
+from typing import Any, Literal, NamedTuple, TypeVar, overload
 
 import jax
 import numpy as np
@@ -23,6 +23,17 @@ from petalfit.components import (
     parameters,
 )
 from petalfit.fitting.assembly import fit_assembly
+from petalfit.fitting.checks import (
+    Fittable,
+    check_count,
+    check_frame,
+    check_loss,
+    check_options,
+    check_pose,
+    check_view,
+    configuration,
+    valid_noise,
+)
 from petalfit.fitting.cloud_fit import fit_cloud
 from petalfit.fitting.colours import ColourFit, colours_on, fit_colours
 from petalfit.fitting.estimate import FitError
@@ -45,9 +56,9 @@ from petalfit.observations import (
     Texture,
     as_point_cloud,
 )
-from petalfit.surfaces import AbstractSurface, value_at
+from petalfit.surfaces import AbstractSurface
 
-Fittable: TypeAlias = AbstractSurface | AbstractPattern
+Outcome = TypeVar("Outcome", FitResult, ColourFit)
 # Of a petal, in the model's unit, for a mask without a camera.
 _TYPICAL_LENGTH = 40.0
 _FEWEST_FOR_SPLINES = 200
@@ -88,7 +99,7 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
     camera: Camera | None = None,
     free: Iterable[str] | None = None,
     init: Fittable | None = None,
-    noise: float | Float[np.ndarray, " n"] | None = None,
+    noise: float | Sequence[float] | Float[np.ndarray, " n"] | None = None,
     loss: str = "linear",
     seed: int = 0,
     throw: bool = True,
@@ -106,8 +117,9 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
             these, which are fitted jointly, each in units of its own noise. Of a pattern a `Texture`, an
             array or the path of an image that makes one, or a cloud with colours.
         pose: "known": clouds are in the model's frame and unit, and cameras stand in it. "rigid": a
-            cloud lies somewhere, in the model's unit. "similarity": its unit is unknown too; the model
-            keeps its length, and the result's pose has the scale.
+            cloud, or what cameras see, lies somewhere, in the model's unit. "similarity": a cloud's unit
+            is unknown too, and the result's pose has the scale; a BladePetal keeps its length, and of a
+            PeonyPetal the waves tell the unit. A PeonyPetal that lies somewhere keeps its c_z.
         camera: What took the masks that are no `Silhouette` with a camera of their own. A single mask
             may have none: it is then an orthographic front view of unknown scale and position, the
             lengths are relative, and the result's pose maps the model to pixels.
@@ -134,52 +146,53 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
         TargetError: The target cannot be used, or the options do not fit the model.
         FitError: The solver failed, and `throw` is True.
     """
-    _check_options(pose, loss, noise)
+    check_options(pose, loss)
+    sigma = valid_noise(noise)
+    tell = progress or (lambda text: None)
     if isinstance(model, str):
         if model != "auto" or free is not None or init is not None:
             raise TargetError(
                 f"model={model!r} takes neither free nor init; only 'auto' has a name."
             )
-        options = {"pose": pose, "noise": noise, "loss": loss, "seed": seed}
-        result = _fit_best(as_targets(target, camera), options, progress or (lambda text: None))
-        if throw and not result.converged:
-            raise FitError(result.message, result)
-        return result
-    template, names = _configuration(model, free, init)
+        options = {"pose": pose, "noise": sigma, "loss": loss, "seed": seed}
+        return _unless_failed(_fit_best(as_targets(target, camera), options, tell), throw)
+    template, names = configuration(model, free, init)
     if isinstance(template, AbstractPattern):
-        if isinstance(noise, np.ndarray):
+        if isinstance(sigma, np.ndarray):
             raise TargetError("the noise of a pattern is one number.")
-        result = fit_colours(
+        found = fit_colours(
             template,
             names,
             _as_texture(target, surface, seed, progress),
             palette=None if palette is None else np.stack([from_hex(c) for c in palette]),
-            noise=noise,
+            noise=sigma,
             from_template=init is not None,
             seed=seed,
-            progress=progress or (lambda text: None),
+            progress=tell,
         )
-        if throw and not result.converged:
-            raise FitError(result.message, result)
-        return result
+        return _unless_failed(found, throw)
     targets = [each_once(part) for part in as_targets(target, camera)]
-    targets, noise = with_noise_of_points(targets, noise)
-    _check_pose(template, pose, targets, init)
-    _check_loss(template, loss, targets)
+    targets, sigma = with_noise_of_points(targets, sigma)
+    check_pose(template, pose, targets, init)
+    check_loss(template, loss, targets)
     if isinstance(template, SplinePetal):
-        return _fit_spline(targets, pose, loss, progress or (lambda text: None))
+        return _fit_spline(targets, pose, loss, tell)
     fitted = run(
         template,
         names,
         targets,
         pose=pose,
         loss=loss,
-        noise=noise,
+        noise=sigma,
         from_template=init is not None,
         seed=seed,
-        progress=progress or (lambda text: None),
+        progress=tell,
     )
-    result = summarise(*fitted, noise)
+    return _unless_failed(summarise(*fitted, sigma), throw)
+
+
+def _unless_failed(result: Outcome, throw: bool) -> Outcome:
+    """The result, if the solver did not fail or nobody minds."""
     if throw and not result.converged:
         raise FitError(result.message, result)
     return result
@@ -320,7 +333,7 @@ def run(
     views = [part for part in targets if isinstance(part, Silhouette)]
     for cloud in clouds:
         if pose != "similarity":
-            _check_frame(cloud, template, pose)
+            check_frame(cloud, template, pose)
     options: Any = {
         "noise": noise,
         "from_template": from_template,
@@ -331,20 +344,21 @@ def run(
         if len(clouds) == 1 and not views:
             (cloud,) = clouds
             weights = np.ones(len(cloud)) if cloud.weights is None else cloud.weights
-            _check_count(weights, names)
-            if isinstance(template, BladePetal):
-                posed, names, ends = fit_sheet(
-                    template, names, cloud.points, weights, pose=pose, loss=loss, **options
-                )
-                return Fitted(posed, names, targets, ends)
+            check_count(weights, names)
             if isinstance(template, AbstractAssembly):
                 ends = fit_assembly(template, names, cloud.points, weights, **options)
-            else:
-                posed, names, ends = fit_cloud(
-                    template, names, cloud.points, weights, pose=pose, loss=loss, **options
-                )
-                return Fitted(posed, names, targets, ends)
-            return Fitted(template, names, targets, ends)
+                return Fitted(template, names, targets, ends)
+            follow = fit_sheet if isinstance(template, BladePetal) else fit_cloud
+            posed, names, ends = follow(
+                template,  # pyright: ignore[reportArgumentType]
+                names,
+                cloud.points,
+                weights,
+                pose=pose,
+                loss=loss,
+                **options,
+            )
+            return Fitted(posed, names, targets, ends)
         if isinstance(template, AbstractAssembly):
             raise TargetError(
                 f"a {type(template).__name__} has several surfaces, which are fitted to one cloud; "
@@ -358,7 +372,7 @@ def run(
             template = _without_camera(template, targets, contours, placed or {})
             names = (*names, *Posed.in_image)
         for contour in contours:
-            _check_view(contour, template)
+            check_view(contour, template)
         ends = fit_joint(template, names, clouds, contours, **options, glance_only=glance_only)
         return Fitted(template, names, [*clouds, *views], ends)
 
@@ -408,148 +422,3 @@ def _without_camera(
         (placed.get("shift_x", middle[0]) - middle[0]) / unit,
         (placed.get("shift_y", middle[1]) - middle[1]) / unit,
     )
-
-
-def _configuration(
-    model: Fittable | type[Fittable],
-    free: Iterable[str] | None,
-    init: Fittable | None,
-) -> tuple[Fittable, tuple[str, ...]]:
-    """The template and the names of its free parameters, checked."""
-    kind = model if inspect.isclass(model) else type(model)
-    fittable = inspect.isclass(kind) and issubclass(kind, AbstractSurface | AbstractPattern)
-    if not (fittable and parameters(kind)):
-        raise TypeError(
-            f"model must be a component or a pattern with declared parameters, a class or an "
-            f"instance; received {model!r}"
-        )
-    declared = parameters(kind)
-    if init is not None and type(init) is not kind:
-        raise TargetError(f"init must be a {kind.__name__}; received a {type(init).__name__}.")
-    template = init if init is not None else model() if inspect.isclass(model) else model
-    if free is None:
-        names = tuple(name for name, p in declared.items() if not p.fixed)
-    else:
-        wanted = [free] if isinstance(free, str) else list(free)
-        unknown = [name for name in wanted if name not in declared]
-        if unknown or not wanted:
-            raise TargetError(
-                f"free names {', '.join(map(repr, unknown)) or 'no parameter'}; the parameters of "
-                f"{kind.__name__} are {', '.join(declared)}."
-            )
-        names = tuple(name for name in declared if name in wanted)
-    for name, parameter in declared.items():
-        value = float(value_at(template, name))
-        low, high = parameter.bounds
-        if not low < value < high:
-            raise TargetError(
-                f"{name} = {value:g} of the start lies outside its range ({low:g}, {high:g}); give "
-                "an init inside it."
-            )
-    return template, names
-
-
-def _check_options(pose: str, loss: str, noise: float | np.ndarray | None) -> None:
-    if pose not in ("known", "rigid", "similarity"):
-        raise ValueError(f"pose must be 'known', 'rigid' or 'similarity'; received {pose!r}")
-    if loss not in ("linear", "robust"):
-        raise ValueError(f"loss must be 'linear' or 'robust'; received {loss!r}")
-    if noise is not None and not np.all(np.isfinite(noise) & (np.asarray(noise) > 0)):
-        raise ValueError(
-            f"noise must be a positive length, one for each point, or None; received {noise}"
-        )
-
-
-def _check_pose(
-    template: AbstractSurface,
-    pose: str,
-    targets: list[PointCloud | Silhouette],
-    init: Fittable | None,
-) -> None:
-    """What a pose can be found for."""
-    if pose == "known":
-        return
-    kind = type(template).__name__
-    views = [part for part in targets if isinstance(part, Silhouette)]
-    if len(views) == len(targets):
-        if pose == "similarity" or any(view.camera is None for view in views):
-            raise TargetError(
-                f"pose={pose!r} does not go with these masks: with a camera for each the pose may "
-                "be 'rigid'; without one it is 'known' to be a front view."
-            )
-        if isinstance(template, AbstractAssembly | SplinePetal):
-            raise TargetError(f"a {kind} is fitted to one cloud.")
-        return
-    if not isinstance(template, PeonyPetal | BladePetal | SplinePetal):
-        raise TargetError(
-            f"pose={pose!r} is there for PeonyPetal, BladePetal and SplinePetal; bring a {kind} into "
-            "its own frame."
-        )
-    if len(targets) > 1:
-        raise TargetError(f"pose={pose!r} is there for one cloud, or for masks with cameras.")
-    if init is not None:
-        raise TargetError(f"init has no pose to start from; leave it out with pose={pose!r}.")
-
-
-def _check_loss(
-    template: AbstractSurface, loss: str, targets: list[PointCloud | Silhouette]
-) -> None:
-    """What strays can be found in."""
-    if loss == "linear":
-        return
-    if len(targets) > 1 or not isinstance(targets[0], PointCloud):
-        raise TargetError(
-            "loss='robust' is there for one cloud; masks discount strays by themselves."
-        )
-    if isinstance(template, AbstractAssembly):
-        raise TargetError(
-            f"loss='robust' is there for components of one surface; a {type(template).__name__} has "
-            "several."
-        )
-
-
-def _check_count(weights: np.ndarray, names: tuple[str, ...]) -> None:
-    count = np.count_nonzero(weights)
-    if count < len(names) + 1:
-        raise TargetError(
-            f"{count} points cannot determine {len(names)} free parameters; at least "
-            f"{len(names) + 1} are needed: give more points, or name fewer parameters in free."
-        )
-
-
-def _check_frame(cloud: PointCloud, template: AbstractSurface, pose: str) -> None:
-    """A unit in which the model's ranges can reach the points."""
-    lengths = [p.bounds for p in parameters(template).values() if p.unit == "length"]
-    largest = max(high for _, high in lengths)
-    smallest = min(low for low, _ in lengths if low > 0)
-    reach = float(np.abs(cloud.points).max()) if pose == "known" else cloud.diagonal
-    kind = type(template).__name__
-    if reach > 10 * largest:
-        raise TargetError(
-            f"coordinates reach {reach:.3g} where the lengths of {kind} end at {largest:g}: bring the "
-            "target to the model's unit and near its origin."
-        )
-    if cloud.diagonal < 0.1 * smallest:
-        raise TargetError(
-            f"the target is only {cloud.diagonal:.3g} across where the lengths of {kind} begin at "
-            f"{smallest:g}: bring it to the model's unit."
-        )
-
-
-def _check_view(contour: Contour, template: AbstractSurface) -> None:
-    """A camera that sees the model where it may be."""
-    camera = contour.camera
-    corners = np.asarray(template.mesh((5, 5)).vertices)
-    if camera.is_orthographic:
-        return
-    depth = camera.depth(corners)
-    if depth.max() <= 0:
-        raise TargetError(
-            "the camera looks away from the petal, which lies behind it (z ≤ 0 in the camera's frame); "
-            "OpenCV cameras look along +z, and with pose='known' the petal begins at the origin."
-        )
-    if depth.min() <= 0:
-        raise TargetError(
-            "the camera stands in or beside the petal, part of which lies behind it; with pose='known' "
-            "the petal begins at the origin and runs along +y."
-        )

@@ -229,6 +229,7 @@ def test_each_point_may_have_its_own_noise():
     assert known.weights.max() / known.weights.min() == pytest.approx(15.0**2)
     with pytest.raises(pf.TargetError, match="one for each of the 1500 points"):
         pf.fit_petal(points, noise=sigma[:7])
+    assert pf.fit_petal(points[:300], noise=[0.05] * 300, throw=False).noise == pytest.approx(0.05)
     with pytest.raises(ValueError, match="positive length"):
         pf.fit_petal(points, noise=-sigma)
 

@@ -72,5 +72,7 @@ def test_masks_that_have_no_pose_to_be_found_are_refused(pose):
         pf.fit_petal(masks, pose="similarity")
     with pytest.raises(pf.TargetError, match="does not go with these masks"):
         pf.fit_petal(pf.Silhouette(masks[0].mask), pose="rigid")
+    with pytest.raises(pf.TargetError, match="init has no pose"):
+        pf.fit_petal(masks, pose="rigid", init=pf.PeonyPetal())
     with pytest.raises(pf.TargetError, match="for one cloud, or for masks"):
         pf.fit_petal([*masks, pf.PeonyPetal().sample(50)], pose="rigid")
