@@ -1,3 +1,5 @@
+from .batch import FitFailure as FitFailure
+from .batch import fit_batch as fit_batch
 from .colours import Colour as Colour
 from .colours import RadialPattern as RadialPattern
 from .colours import RibPattern as RibPattern

@@ -14,7 +14,7 @@ ROWS = (
     {"components", "colours"},
     {"residuals"},
     {"fitting"},
-    {"flowers", "synthetic"},
+    {"batch", "flowers", "synthetic"},
     {"export"},
     {"report", "studio"},
     {"cli"},

@@ -1,4 +1,4 @@
-"""The command line: `petalfit demo`, `fit`, `grow`, `mask`, `synth`, `parameters`; one file a command.
+"""The command line: `petalfit demo`, `fit`, `batch` and so on; one file a command.
 
 Modules here import jax, scipy, trimesh and the rest of petalfit only inside functions: what
 `petalfit --help` costs is tyro.
@@ -64,6 +64,7 @@ def _run(arguments: list[str]) -> int:
         return SUCCESS
     import tyro
 
+    from petalfit.cli.batch import batch
     from petalfit.cli.demo import demo
     from petalfit.cli.fit import fit
     from petalfit.cli.grow import grow
@@ -75,6 +76,7 @@ def _run(arguments: list[str]) -> int:
         {
             "demo": demo,
             "fit": fit,
+            "batch": batch,
             "grow": grow,
             "mask": mask,
             "synth": synth,

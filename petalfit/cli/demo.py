@@ -35,9 +35,9 @@ def demo(
     require(points >= 50, f"--points {points} are too few for a demonstration; give 50 or more.")
     require_noise(noise)
     require_seed(seed)
-    from petalfit.cli.compilation_cache import compilation_cache
     from petalfit.cli.console import fit_table, list_files, output, progress, summarise, warn
     from petalfit.cli.results import CONTENTS, check_folder, write_results, written_whole
+    from petalfit.compilation.cache import compilation_cache
 
     check_folder(out)
     with progress(quiet) as show, compilation_cache() as compiled:

@@ -112,10 +112,10 @@ def fit(
         require_noise(noise, least="a positive number, or leave it out")
     require_seed(seed)
     require(bool(targets), "there is no TARGET; give the file of a cloud, a mesh or a mask.")
-    from petalfit.cli.compilation_cache import compilation_cache
     from petalfit.cli.console import fit_table, list_files, output, progress, summarise, warn
     from petalfit.cli.parameters import component
     from petalfit.cli.results import CONTENTS, check_folder, write_results, written_whole
+    from petalfit.compilation.cache import compilation_cache
 
     check_folder(out)
     kind = "auto" if model == "auto" else component(model)
@@ -131,14 +131,14 @@ def fit(
                 model=kind,
                 pose=pose,
                 loss=loss,
-                free=_names(free),
+                free=names_of(free),
                 init=None if init is None else FitResult.load(init).model,
                 noise=noise,
                 seed=seed,
                 throw=False,
                 progress=lambda text: show(text + again),
             )
-            for name in _names(profile) or []:
+            for name in names_of(profile) or []:
                 result = result.with_profile(name, progress=show)
             show(f"writing {out}")
             with written_whole(out) as folder:
@@ -193,7 +193,7 @@ def _cameras(masks: list[Path], files: tuple[Path, ...]) -> "list[Camera | None]
     return [camera for camera in found if isinstance(camera, Camera)]
 
 
-def _names(free: tuple[str, ...]) -> list[str] | None:
+def names_of(free: tuple[str, ...]) -> list[str] | None:
     """`--free a_x --free b_y` and `--free a_x,b_y` mean the same."""
     if not free:
         return None

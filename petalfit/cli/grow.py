@@ -61,8 +61,8 @@ def grow(
         require(png.suffix.lower() == ".png", f"--png {png} is not named .png.")
     require_seed(seed)
     values = dict(_setting(text) for text in settings)
-    from petalfit.cli.compilation_cache import compilation_cache
     from petalfit.cli.console import output, progress
+    from petalfit.compilation.cache import compilation_cache
 
     with progress(quiet) as show, compilation_cache():
         show("arranging")

@@ -59,8 +59,8 @@ def synth(
     require(points is None or points >= 3, f"--points {points} are too few; give 3 or more.")
     require_noise(noise)
     require_seed(seed)
-    from petalfit.cli.compilation_cache import compilation_cache
     from petalfit.cli.console import output
+    from petalfit.compilation.cache import compilation_cache
 
     with compilation_cache():
         petal = _petal(settings)

@@ -3,5 +3,9 @@
 from petalfit.compilation.buckets import bucket as bucket
 from petalfit.compilation.buckets import pad_to as pad_to
 from petalfit.compilation.program import Program as Program
+from petalfit.compilation.stopwatch import Stopwatch as Stopwatch
+from petalfit.compilation.stopwatch import stage as stage
+from petalfit.compilation.stopwatch import watched as watched
 from petalfit.compilation.store import ExecutableStore as ExecutableStore
+from petalfit.compilation.store import current_store as current_store
 from petalfit.compilation.store import use_store as use_store

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import Any, Generic, TypeVar
 
 import jax
 
+from petalfit.compilation.stopwatch import moved
 from petalfit.compilation.store import OPTIONS, current_store
 
 R = TypeVar("R")
@@ -25,7 +27,11 @@ class Program(Generic[R]):
     def __call__(self, *args: Any) -> R:
         store = current_store()
         if store is None:
-            return self._jitted(*args)
+            known, began = self.cache_size(), time.perf_counter()
+            result = self._jitted(*args)
+            if self.cache_size() > known:
+                moved(time.perf_counter() - began, "compiling")
+            return result
         return store.executable(self._function, args)(*jax.tree.leaves(args))
 
     def cache_size(self) -> int:

@@ -1,5 +1,6 @@
 """From a target to parameters: starts, the solver, uncertainty, the result."""
 
+from petalfit.fitting.checks import check_request as check_request
 from petalfit.fitting.colours import ColourFit as ColourFit
 from petalfit.fitting.colours import colours_on as colours_on
 from petalfit.fitting.estimate import Estimate as Estimate

@@ -56,6 +56,30 @@ def configuration(
     return template, names
 
 
+def check_request(
+    model: Fittable | type[Fittable] | str,
+    *,
+    pose: str,
+    loss: str,
+    free: Iterable[str] | None,
+    init: Fittable | None,
+    noise: float | Sequence[float] | Float[np.ndarray, " n"] | None,
+) -> None:
+    """All that can be wrong about a fit before its target is seen."""
+    check_options(pose, loss)
+    valid_noise(noise)
+    if isinstance(model, str):
+        check_name(model, free, init)
+    else:
+        configuration(model, free, init)
+
+
+def check_name(model: str, free: Iterable[str] | None, init: Fittable | None) -> None:
+    """Models are classes or instances; the only one with a name chooses among several."""
+    if model != "auto" or free is not None or init is not None:
+        raise TargetError(f"model={model!r} takes neither free nor init; only 'auto' has a name.")
+
+
 def check_options(pose: str, loss: str) -> None:
     """Words that no model and no target could go with."""
     if pose not in ("known", "rigid", "similarity"):

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from jaxtyping import Array
 
+from petalfit.compilation import stage
 from petalfit.components import PeonyPetal, Posed
 from petalfit.fitting import peony_start, programs
 from petalfit.fitting.canonical import Canonical
@@ -271,13 +272,15 @@ def follow(
     ends = []
     for label, model in starts:
         progress(f"polishing from {label}")
-        ends.append(settle(label, model, None))
+        with stage("polishing"):
+            ends.append(settle(label, model, None))
     best, *others = sorted(ends, key=lambda end: end.chi2)
 
     def again(model: AbstractSurface, _: Polished | None, prior: Prior | None) -> Settled:
         return settle(best.label, model, prior)
 
-    return [stay_at_the_start(coordinates, best, again), *others]
+    with stage("polishing"):
+        return [stay_at_the_start(coordinates, best, again), *others]
 
 
 def _whole(points: np.ndarray, weights: np.ndarray, noise: float | None) -> ObservedCloud:

@@ -15,7 +15,7 @@ import optimistix as optx
 from jaxtyping import Array, Float, Float64
 
 from petalfit.colours import AbstractPattern, to_linear, to_srgb
-from petalfit.compilation import Program, bucket, pad_to
+from petalfit.compilation import Program, bucket, pad_to, stage
 from petalfit.components import Parameter, parameters
 from petalfit.fitting import programs
 from petalfit.fitting.cloud import feet
@@ -131,9 +131,11 @@ def fit_colours(
             starts = _candidates(coordinates, part)
         data = _Data.of(uv, values, weights)
         progress("polishing")
-        ends = _different(coordinates, [_polish(coordinates, part, t) for t in starts], data, noise)
-        ends = [_polish(coordinates, data, end.t) for end in ends]
-        ends = _different(coordinates, ends, data, noise)
+        with stage("polishing"):
+            ends = [_polish(coordinates, part, t) for t in starts]
+            ends = _different(coordinates, ends, data, noise)
+            ends = [_polish(coordinates, data, end.t) for end in ends]
+            ends = _different(coordinates, ends, data, noise)
         return _result(coordinates, ends, texture, seen, noise)
 
 

@@ -91,6 +91,8 @@ class Estimate:
         warnings: Reasons not to trust the result blindly; empty if there are none.
         steps: Rounds of the final solve.
         starts: What each start reached, best first.
+        timings: Seconds that finding "starts", "polishing", "errors" and "compiling" took; what did not
+            happen is missing. Compiling is what a process does once for each size of target.
     """
 
     model: eqx.Module
@@ -105,6 +107,7 @@ class Estimate:
     warnings: tuple[str, ...]
     steps: int
     starts: tuple[Start, ...]
+    timings: dict[str, float] = dataclasses.field(default_factory=dict)
 
     @property
     def rivals(self) -> tuple[Start, ...]:

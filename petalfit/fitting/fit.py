@@ -7,13 +7,14 @@ import inspect
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeVar, overload
+from typing import Any, Literal, NamedTuple, overload
 
 import jax
 import numpy as np
 from jaxtyping import Float
 
 from petalfit.colours import AbstractPattern, from_hex
+from petalfit.compilation import stage, watched
 from petalfit.components import (
     AbstractAssembly,
     BladePetal,
@@ -28,6 +29,7 @@ from petalfit.fitting.checks import (
     check_count,
     check_frame,
     check_loss,
+    check_name,
     check_options,
     check_pose,
     check_view,
@@ -58,7 +60,6 @@ from petalfit.observations import (
 )
 from petalfit.surfaces import AbstractSurface
 
-Outcome = TypeVar("Outcome", FitResult, ColourFit)
 # Of a petal, in the model's unit, for a mask without a camera.
 _TYPICAL_LENGTH = 40.0
 _FEWEST_FOR_SPLINES = 200
@@ -146,21 +147,54 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
         TargetError: The target cannot be used, or the options do not fit the model.
         FitError: The solver failed, and `throw` is True.
     """
+    with watched("starts") as watch:
+        result = _fitted(
+            model,
+            target,
+            pose=pose,
+            camera=camera,
+            free=free,
+            init=init,
+            noise=noise,
+            loss=loss,
+            seed=seed,
+            progress=progress or (lambda text: None),
+            surface=surface,
+            palette=palette,
+        )
+    result = dataclasses.replace(result, timings=dict(watch.seconds))
+    if throw and not result.converged:
+        raise FitError(result.message, result)
+    return result
+
+
+def _fitted(
+    model: Fittable | type[Fittable] | Literal["auto"],
+    target: object,
+    *,
+    pose: str,
+    loss: str,
+    noise: float | Sequence[float] | Float[np.ndarray, " n"] | None,
+    seed: int,
+    progress: Callable[[str], None],
+    camera: Camera | None = None,
+    free: Iterable[str] | None = None,
+    init: Fittable | None = None,
+    surface: type[AbstractSurface] | AbstractSurface | FitResult = PeonyPetal,
+    palette: tuple[str, str] | None = None,
+) -> FitResult | ColourFit:
+    """What `fit` returns, whether or not the solver failed."""
     check_options(pose, loss)
     sigma = valid_noise(noise)
-    tell = progress or (lambda text: None)
     if isinstance(model, str):
-        if model != "auto" or free is not None or init is not None:
-            raise TargetError(
-                f"model={model!r} takes neither free nor init; only 'auto' has a name."
-            )
+        check_name(model, free, init)
         options = {"pose": pose, "noise": sigma, "loss": loss, "seed": seed}
-        return _unless_failed(_fit_best(as_targets(target, camera), options, tell), throw)
+        return _fit_best(as_targets(target, camera), options, progress)
     template, names = configuration(model, free, init)
     if isinstance(template, AbstractPattern):
         if isinstance(sigma, np.ndarray):
             raise TargetError("the noise of a pattern is one number.")
-        found = fit_colours(
+        return fit_colours(
             template,
             names,
             _as_texture(target, surface, seed, progress),
@@ -168,15 +202,14 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
             noise=sigma,
             from_template=init is not None,
             seed=seed,
-            progress=tell,
+            progress=progress,
         )
-        return _unless_failed(found, throw)
     targets = [each_once(part) for part in as_targets(target, camera)]
     targets, sigma = with_noise_of_points(targets, sigma)
     check_pose(template, pose, targets, init)
     check_loss(template, loss, targets)
     if isinstance(template, SplinePetal):
-        return _fit_spline(targets, pose, loss, tell)
+        return _fit_spline(targets, pose, loss, progress)
     fitted = run(
         template,
         names,
@@ -186,16 +219,10 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
         noise=sigma,
         from_template=init is not None,
         seed=seed,
-        progress=tell,
+        progress=progress,
     )
-    return _unless_failed(summarise(*fitted, sigma), throw)
-
-
-def _unless_failed(result: Outcome, throw: bool) -> Outcome:
-    """The result, if the solver did not fail or nobody minds."""
-    if throw and not result.converged:
-        raise FitError(result.message, result)
-    return result
+    with stage("errors"):
+        return summarise(*fitted, sigma)
 
 
 def _fit_best(
@@ -214,7 +241,7 @@ def _fit_best(
             progress(f"{name}: {text}")
 
         try:
-            results.append(fit(family, targets[0], throw=False, progress=tell, **options))
+            results.append(_fitted(family, targets[0], progress=tell, **options))
         except TargetError as error:
             refusals.append(error)
     if not results:
@@ -257,7 +284,7 @@ def _fit_spline(
             f"{np.count_nonzero(weights)} points are too few for a SplinePetal; give "
             f"{_FEWEST_FOR_SPLINES} or more, or fit a BladePetal."
         )
-    with jax.enable_x64(True):
+    with jax.enable_x64(True), stage("polishing"):
         found = fit_spline(cloud.points, weights, pose, loss, progress)
     weights = weights * found.members
     noise = float(np.sqrt(np.average(found.distance**2, weights=weights)))

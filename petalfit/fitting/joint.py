@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from jaxtyping import Float
 
+from petalfit.compilation import stage
 from petalfit.components import PeonyPetal, Posed, bare, parameters
 from petalfit.fitting import programs
 from petalfit.fitting.cloud import ObservedCloud, with_all_points
@@ -86,7 +87,8 @@ class Joint:
     def follow(self, label: str, model: AbstractSurface, *, held: tuple[str, ...] = ()) -> Ended:
         """A start's end, with some parameters held."""
         self.progress(f"polishing from {label}")
-        polished = self.minimise(self.coordinates.holding(held).around(model), model)
+        with stage("polishing"):
+            polished = self.minimise(self.coordinates.holding(held).around(model), model)
         return Ended(polished, glance(self.coordinates, label, self.observed, polished), held)
 
 
@@ -153,7 +155,8 @@ def fit_joint(
         return finish(around, best.end.label, joint.observed, polished, Prior(known.centre, root))
 
     progress("taking pictures of the fit")
-    final = stay_at_the_start(coordinates, end(best.polished.model, best.polished), end)
+    with stage("errors"):
+        final = stay_at_the_start(coordinates, end(best.polished.model, best.polished), end)
     final = dataclasses.replace(final, chi2=best.end.chi2)
     for k, cloud in enumerate(clouds):
         final = with_all_points(coordinates, final, k, cloud)

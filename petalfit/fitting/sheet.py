@@ -15,6 +15,7 @@ from jaxtyping import Float
 from scipy.spatial import KDTree
 from scipy.special import log_ndtr
 
+from petalfit.compilation import stage
 from petalfit.components import BladePetal, Posed
 from petalfit.fitting import programs
 from petalfit.fitting.blade_start import BladeStart, blade_starts
@@ -289,7 +290,8 @@ def fit_sheet(
         if cost - ends[0][0] < _HOPELESS * len(rough.cloud.data.points):
             progress(f"polishing from {label}")
             coordinates = Coordinates.of(model, names)
-            settled.append(_settle(coordinates, label, model, scan))
+            with stage("polishing"):
+                settled.append(_settle(coordinates, label, model, scan))
     settled.sort(key=lambda end: end.chi2)
     ends = [_in_target(end, names, frame, order) for end in settled]
     cloud = PointCloud(points, weights=weights)

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from petalfit.cli import compilation_cache as module
-from petalfit.cli.compilation_cache import VARIABLE, compilation_cache, user_cache
 from petalfit.compilation import Program
+from petalfit.compilation import cache as module
+from petalfit.compilation.cache import VARIABLE, compilation_cache, user_cache
 
 TRACED = []
 

@@ -28,7 +28,7 @@ def compilation_cache() -> Iterator[bool]:
     """
     from petalfit.compilation import ExecutableStore, use_store
 
-    folder = _usable_folder()
+    folder = usable_folder()
     if folder is None:
         yield False
         return
@@ -36,7 +36,7 @@ def compilation_cache() -> Iterator[bool]:
         yield any(folder.iterdir())
 
 
-def _usable_folder() -> Path | None:
+def usable_folder() -> Path | None:
     """The folder for this processor, made if need be; None for no cache."""
     root = os.environ.get(VARIABLE)
     if root == "":

@@ -1,0 +1,78 @@
+"""The tasks of a batch on a cluster of dask.distributed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from petalfit.batch.interrupt import undisturbed
+from petalfit.batch.processes import Crash, Job, Outcome, cores, environment
+from petalfit.observations import TargetError
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+LOCAL = "local"
+_CONNECT = "20s"
+
+
+@contextmanager
+def connected(scheduler: str, workers: int | None) -> Iterator[Client]:
+    """A client of the scheduler at an address, or of a cluster of this machine's own.
+
+    Raises:
+        TargetError: dask.distributed is not installed, or nobody answers at the address.
+    """
+    try:
+        import distributed
+    except ImportError:
+        raise TargetError(
+            "a cluster needs dask.distributed, which is not installed: pip install 'petalfit[batch]'."
+        ) from None
+    if scheduler == LOCAL:
+        cluster = distributed.LocalCluster(
+            n_workers=workers or cores(),
+            threads_per_worker=1,
+            dashboard_address=None,  # pyright: ignore[reportArgumentType] - none
+            env=environment(),
+            silence_logs=50,
+        )
+        try:
+            yield cluster.get_client()
+        finally:
+            with undisturbed():
+                cluster.close()
+        return
+    try:
+        client = distributed.Client(scheduler, timeout=_CONNECT)
+    except (OSError, ValueError) as error:
+        raise TargetError(
+            f"no Dask scheduler answers at {scheduler} ({error}); start one with `dask scheduler`, or "
+            f"give --scheduler {LOCAL}."
+        ) from None
+    with client:
+        yield client
+
+
+def as_finished(
+    client: Client, function: Callable[[Job], Outcome], jobs: Sequence[Job]
+) -> Iterator[tuple[Job, Outcome | Crash]]:
+    """Each job with what a function makes of it, as they come.
+
+    The cluster tries a job again elsewhere when a worker dies under it; one that kills four workers is
+    a `Crash`.
+    """
+    import distributed
+
+    futures: dict[Any, Job] = dict(zip(client.map(function, jobs, pure=False), jobs, strict=True))
+    for future in distributed.as_completed([*futures], raise_errors=False):
+        job = futures.pop(future)
+        if future.status == "finished":
+            yield job, future.result()
+        else:
+            error = future.exception()
+            if not isinstance(error, distributed.KilledWorker):
+                raise error
+            yield job, Crash()
+        future.release()

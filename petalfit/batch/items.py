@@ -1,0 +1,174 @@
+"""What a batch of files consists of: every file of a folder, or every row of a manifest."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path, PurePosixPath
+from typing import Any, NamedTuple
+
+from petalfit import __version__  # pyright: ignore[reportAttributeAccessIssue] - not a lazy one
+from petalfit.components import models
+from petalfit.observations import (
+    IMAGE_SUFFIXES,
+    SUFFIXES,
+    Camera,
+    PointCloud,
+    Silhouette,
+    TargetError,
+    read_cameras,
+)
+
+# Columns of a manifest beside the target's, each of which may be empty.
+COLUMNS = ("id", "camera", "model", "pose", "loss", "noise", "free", "seed")
+# Several files in one cell are fitted together.
+_BETWEEN = ";"
+
+
+class Item(NamedTuple):
+    """A target of a batch.
+
+    Attributes:
+        id: Names it in the table and its folder below the output: a relative path.
+        targets: Files that are fitted together.
+        cameras: Of the masks among them, in their order; may be none.
+        options: Of the fit, as text and numbers: model, pose, loss, noise, free, seed.
+    """
+
+    id: str
+    targets: tuple[Path, ...]
+    cameras: tuple[Path, ...]
+    options: Mapping[str, Any]
+
+    def digest(self) -> str:
+        """Changes with the content of the files, the options, and the version of petalfit.
+
+        Raises:
+            TargetError: A file cannot be read.
+        """
+        described = json.dumps([__version__, dict(sorted(self.options.items()))])
+        whole = hashlib.sha256(described.encode())
+        for path in (*self.targets, *self.cameras):
+            try:
+                with open(path, "rb") as file:
+                    whole.update(hashlib.file_digest(file, "sha256").digest())
+            except OSError as error:
+                raise TargetError(f"{path} cannot be read: {error.strerror or error}.") from None
+        return whole.hexdigest()
+
+    def read(self) -> list[PointCloud | Silhouette]:
+        """What was seen."""
+        cameras = iter(self.cameras)
+        return [
+            Silhouette.load(path, _camera(next(cameras, None)))
+            if path.suffix.lower() in IMAGE_SUFFIXES
+            else PointCloud.load(path)
+            for path in self.targets
+        ]
+
+    def arguments(self) -> dict[str, Any]:
+        """The options as `fit` takes them."""
+        found = dict(self.options)
+        name = found.pop("model")
+        found["model"] = "auto" if name == "auto" else models()[name]
+        return found
+
+
+def _camera(path: Path | None) -> Camera | None:
+    if path is None:
+        return None
+    camera = read_cameras(path)
+    if not isinstance(camera, Camera):
+        raise TargetError(f"{path} has several cameras; a batch takes a file for each.")
+    return camera
+
+
+def items_of(source: Path, options: Mapping[str, Any]) -> list[Item]:
+    """The targets of a folder, its folders included, or of a manifest.
+
+    Args:
+        source: A folder, or a CSV file with a column "target" and any of `COLUMNS`; paths in it are
+            relative to its own folder.
+        options: Of every fit, unless a manifest has others.
+
+    Raises:
+        TargetError: There is nothing to fit, or a manifest that cannot be followed.
+    """
+    if source.is_dir():
+        known = (*SUFFIXES, *IMAGE_SUFFIXES)
+        files = sorted(
+            path
+            for path in source.rglob("*")
+            if path.suffix.lower() in known
+            and not any(part.startswith(".") for part in path.relative_to(source).parts)
+        )
+        if not files:
+            raise TargetError(f"{source} has no file with a suffix of {' '.join(known)}.")
+        return [Item(path.relative_to(source).as_posix(), (path,), (), options) for path in files]
+    if source.suffix.lower() != ".csv":
+        raise TargetError(
+            f"{source} is neither a folder nor a .csv manifest with a column 'target'."
+        )
+    return _items_of_manifest(source, options)
+
+
+def _items_of_manifest(manifest: Path, options: Mapping[str, Any]) -> list[Item]:
+    try:
+        with open(manifest, newline="", encoding="utf-8-sig") as file:
+            reader = csv.DictReader(file)
+            rows, columns = [*reader], reader.fieldnames or []
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise TargetError(f"{manifest} cannot be read as a manifest: {error}") from None
+    unknown = [str(name) for name in columns if name not in ("target", *COLUMNS)]
+    if "target" not in columns or unknown:
+        wrong = "no column 'target'"
+        if "target" in columns:
+            wrong = f"unknown columns: {', '.join(unknown)}"
+        raise TargetError(f"{manifest} has {wrong}; it may have target, {', '.join(COLUMNS)}.")
+    if not rows:
+        raise TargetError(f"{manifest} has a header and no rows; give a row for each target.")
+    items, lines = [], {}
+    for line, row in enumerate(rows, 2):
+        cells = {name: text.strip() for name, text in row.items() if name and text and text.strip()}
+        try:
+            item = _item(cells, manifest.parent, options)
+        except (TargetError, ValueError) as error:
+            raise TargetError(f"{manifest}, line {line}: {error}") from None
+        if item.id in lines:
+            raise TargetError(
+                f"{manifest}, lines {lines[item.id]} and {line} have the same id {item.id!r}; give "
+                "every row an id of its own."
+            )
+        lines[item.id] = line
+        items.append(item)
+    return items
+
+
+def _item(cells: Mapping[str, str], folder: Path, options: Mapping[str, Any]) -> Item:
+    """A row."""
+    if "target" not in cells:
+        raise TargetError("there is no target in this row.")
+    targets = _paths(cells["target"], folder)
+    name = cells.get("id", cells["target"]).replace("\\", "/").replace(_BETWEEN, "+")
+    parts = PurePosixPath(name).parts
+    if name.startswith("/") or ".." in parts or not parts:
+        name = PurePosixPath(*(part for part in parts if part not in ("/", ".."))).as_posix()
+    own: dict[str, Any] = {n: cells[n] for n in ("model", "pose", "loss") if n in cells}
+    if "noise" in cells:
+        own["noise"] = float(cells["noise"])
+    if "seed" in cells:
+        own["seed"] = int(cells["seed"])
+    if "free" in cells:
+        own["free"] = cells["free"].replace(",", " ").replace(_BETWEEN, " ").split()
+    merged = {**options, **own}
+    if merged["model"] != "auto" and merged["model"] not in models():
+        raise TargetError(
+            f"there is no model {merged['model']!r}; the models are auto, {', '.join(models())}."
+        )
+    return Item(name, targets, _paths(cells.get("camera", ""), folder), merged)
+
+
+def _paths(text: str, folder: Path) -> tuple[Path, ...]:
+    return tuple(folder / part.strip() for part in text.split(_BETWEEN) if part.strip())

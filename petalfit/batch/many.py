@@ -1,0 +1,148 @@
+"""Many targets in memory, a result for each."""
+
+from __future__ import annotations
+
+import functools
+import os
+from collections.abc import Callable, Collection, Iterable, Iterator, Sized
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, overload
+
+import jax
+import numpy as np
+
+from petalfit.batch.failure import FitFailure
+from petalfit.batch.processes import Crash, cores, in_order
+from petalfit.compilation import ExecutableStore, current_store, use_store
+from petalfit.compilation.cache import usable_folder
+from petalfit.components import PeonyPetal
+from petalfit.fitting import FitResult, check_request, fit
+from petalfit.observations import Camera, PointCloud, Silhouette, TargetError
+from petalfit.surfaces import AbstractSurface
+
+CRASHED = (
+    "the process that fitted it died twice, the second time alone: of too little memory, or of a "
+    "fault in a compiled library"
+)
+
+
+@overload
+def fit_batch(targets: Collection[object], **options: Any) -> list[FitResult | FitFailure]: ...
+@overload
+def fit_batch(targets: Iterator[object], **options: Any) -> Iterator[FitResult | FitFailure]: ...
+def fit_batch(  # pyright: ignore[reportInconsistentOverload]
+    targets: object,
+    *,
+    model: type[AbstractSurface] | AbstractSurface | Literal["auto"] = PeonyPetal,
+    pose: str = "known",
+    camera: Camera | None = None,
+    free: Iterable[str] | None = None,
+    init: AbstractSurface | None = None,
+    noise: float | None = None,
+    loss: str = "linear",
+    seed: int = 0,
+    workers: int | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> list[FitResult | FitFailure] | Iterator[FitResult | FitFailure]:
+    """Fit many targets, each by itself, on all cores of this machine.
+
+    Processes are started when they are needed and stay warm for the next batch. Compiled programs are
+    shared between them, in the store in use or in the user's cache. If jax has a GPU, the targets
+    are fitted there, one after the other.
+
+    Args:
+        targets: As of `fit`: clouds, meshes, masks, paths, or lists of these that belong together. A list
+            gives a list. An iterator, a generator for instance, gives an iterator: targets are taken
+            a few at a time, and memory does not grow with their number.
+        model: A component, of which a petal is the default; for all targets, like the following
+            options of `fit`.
+        pose: See `fit`.
+        camera: See `fit`.
+        free: See `fit`.
+        init: See `fit`.
+        noise: See `fit`.
+        loss: See `fit`.
+        seed: See `fit`.
+        workers: How many processes; by default one for each core. With 1, this one.
+        progress: Called with a line of text after each target.
+
+    Returns:
+        For each target, in their order, a `FitResult`, which may not have converged; or a `FitFailure`
+        with the reason why there is none. Both have `converged`, `status` and `message`.
+
+    Raises:
+        TargetError: The options cannot be used for any target, or `targets` is a single one.
+    """
+    if (
+        isinstance(targets, str | os.PathLike | PointCloud | Silhouette)
+        or (isinstance(targets, np.ndarray) and targets.ndim == 2)
+        or not isinstance(targets, Iterable)
+    ):
+        raise TargetError("fit_batch takes many targets; give a list of them, or call fit_petal.")
+    if workers is not None and workers < 1:
+        raise TargetError(f"workers={workers} can fit nothing; give 1 or more.")
+    options = {
+        "pose": pose,
+        "camera": camera,
+        "free": None if free is None else [*free],
+        "init": init,
+        "noise": noise,
+        "loss": loss,
+        "seed": seed,
+    }
+    check_request(model, pose=pose, loss=loss, free=free, init=init, noise=noise)
+    total = len(targets) if isinstance(targets, Sized) else None
+    outcomes = _outcomes(targets, total, {"model": model, **options}, workers, progress)
+    return outcomes if total is None else [*outcomes]
+
+
+def _outcomes(
+    targets: Iterable[object],
+    total: int | None,
+    options: dict[str, Any],
+    workers: int | None,
+    progress: Callable[[str], None] | None,
+) -> Iterator[FitResult | FitFailure]:
+    count = workers or cores()
+    if total is not None:
+        count = min(count, max(total, 1))
+    if count == 1 or jax.default_backend() != "cpu":
+        outcomes = map(_fit_one, (_Job(target, options, None) for target in targets))
+    else:
+        store = current_store()
+        folder = usable_folder() if store is None else store.folder
+        jobs = (_Job(target, options, folder) for target in targets)
+        outcomes = in_order(_fit_one, jobs, count)
+    failed = 0
+    for done, outcome in enumerate(outcomes, 1):
+        if isinstance(outcome, Crash):
+            outcome = FitFailure("crashed", CRASHED)
+        failed += not outcome.converged
+        if progress is not None:
+            of = "" if total is None else f" of {total}"
+            progress(f"{done}{of} fitted" + f", {failed} without success" * bool(failed))
+        yield outcome
+
+
+class _Job(NamedTuple):
+    """A target, how it is fitted, and where compiled programs are."""
+
+    target: object
+    options: dict[str, Any]
+    folder: Path | None
+
+
+def _fit_one(job: _Job) -> FitResult | FitFailure:
+    """A fit that raises nothing, in whatever process."""
+    try:
+        with nullcontext() if job.folder is None else use_store(store_at(job.folder)):
+            return fit(target=job.target, throw=False, **job.options)
+    except Exception as error:
+        return FitFailure.of(error)
+
+
+@functools.cache
+def store_at(folder: Path) -> ExecutableStore:
+    """One for the life of a process: what it has loaded stays."""
+    return ExecutableStore(folder)

@@ -1,0 +1,137 @@
+"""What a batch keeps of each target: a record in a folder of its own, written when it is fitted."""
+
+from __future__ import annotations
+
+import datetime
+import errno
+import json
+import os
+import time
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from petalfit import __version__  # pyright: ignore[reportAttributeAccessIssue] - not a lazy one
+from petalfit.batch.failure import FitFailure
+from petalfit.batch.items import Item
+from petalfit.batch.many import store_at
+from petalfit.compilation import use_store
+from petalfit.fitting import FitResult, fit
+from petalfit.observations import PointCloud, TargetError
+from petalfit.observations.atomic import atomic_path
+
+FIT = "fit.json"
+RECORD = "record.json"
+# What may go better another time, and is tried again: nothing of it is the target's fault.
+PASSING = ("error", "crashed", "not_written")
+_FULL = (errno.ENOSPC, errno.EDQUOT)
+
+
+class Task(NamedTuple):
+    """A target to fit in whatever process, and where its files go.
+
+    Attributes:
+        item: The target.
+        folder: Its own, made if need be.
+        programs: The folder of compiled programs, or None.
+    """
+
+    item: Item
+    folder: Path
+    programs: Path | None
+
+
+def finished(task: Task) -> dict[str, Any] | None:
+    """The record of an item, if there is one, of the same files and options, and of nothing passing."""
+    record = read_record(task.folder)
+    if record is None or record["status"] in PASSING:
+        return None
+    try:
+        digest = task.item.digest()
+    except TargetError:  # a file that is missing, as it was before
+        digest = ""
+    return record if record["input_hash"] == digest else None
+
+
+def read_record(folder: Path) -> dict[str, Any] | None:
+    """The record in a folder, if there is one."""
+    try:
+        record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return record if isinstance(record, dict) and {"status", "input_hash"} <= {*record} else None
+
+
+def perform(task: Task) -> dict[str, Any]:
+    """Fit a target, and write `fit.json` and the record of it; raises nothing.
+
+    Returns:
+        The record. Its status is "not_written" if it could not be written.
+    """
+    began, digest, result = time.perf_counter(), "", None
+    try:
+        digest = task.item.digest()
+        with nullcontext() if task.programs is None else use_store(store_at(task.programs)):
+            found = fit(target=task.item.read(), throw=False, **task.item.arguments())
+        assert isinstance(found, FitResult), "patterns are not among the models"
+        result = found
+    except Exception as error:
+        result = FitFailure.of(error)
+    return keep(task, result, digest, time.perf_counter() - began)
+
+
+def keep(task: Task, result: FitResult | FitFailure, digest: str, seconds: float) -> dict[str, Any]:
+    """Write what became of a target. Its fit first: a record says that everything is there."""
+    record = _record(task.item, result, digest, seconds)
+    try:
+        task.folder.mkdir(parents=True, exist_ok=True)
+        if isinstance(result, FitResult):
+            result.save(task.folder / FIT)
+        else:
+            (task.folder / FIT).unlink(missing_ok=True)
+        with atomic_path(task.folder / RECORD) as path:
+            path.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    except OSError as error:
+        full = error.errno in _FULL
+        reason = f"{task.folder} cannot be written: {error.strerror or error}"
+        return record | {"status": "not_written", "message": reason, "disk_full": full}
+    return record
+
+
+def _record(
+    item: Item, result: FitResult | FitFailure, digest: str, seconds: float
+) -> dict[str, Any]:
+    record: dict[str, Any] = {
+        "id": item.id,
+        "target": ";".join(map(os.fspath, item.targets)),
+        "status": result.status,
+        "converged": result.converged,
+        "message": result.message,
+        **{name: item.options[name] for name in ("model", "pose", "loss")},
+        "seconds": seconds,
+        "version": __version__,
+        "input_hash": digest,
+        "finished": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+    }
+    if isinstance(result, FitFailure):
+        return record
+    first = result.agreements[0]
+    size = len(first.target) if isinstance(first.target, PointCloud) else first.distances.size
+    identifiable = {name: result.identifiable.get(name) for name in result.values}
+    return record | {
+        "model": type(result.model).__name__,
+        "warnings": [*result.warnings],
+        "timings": result.timings,
+        "data": int(size),
+        "strays": first.strays,
+        "rms": first.rms,
+        "noise": first.noise,
+        "values": result.values,
+        "stderr": {n: x if np.isfinite(x) else None for n, x in result.stderr.items()},
+        "identifiable": identifiable,
+        "scale": float(result.pose.scale),
+        "rotation": np.ravel(result.pose.rotation).tolist(),
+        "translation": np.ravel(result.pose.translation).tolist(),
+    }

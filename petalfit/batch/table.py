@@ -1,0 +1,78 @@
+"""The table of a batch: a row a target, as Parquet."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from petalfit.components import models, parameters
+from petalfit.observations import TargetError
+from petalfit.observations.atomic import atomic_path
+
+if TYPE_CHECKING:
+    import pyarrow
+
+TABLE = "table.parquet"
+_TEXT = ("id", "target", "status", "message", "model", "pose", "loss", "version", "input_hash",
+         "finished")  # fmt: skip
+_NUMBERS = ("seconds", "rms", "noise", "scale")
+
+
+def check_pyarrow() -> None:
+    """Finds out before thousands of fits whether their table can be written."""
+    try:
+        import pyarrow  # noqa: F401
+    except ImportError:
+        raise TargetError(
+            "a batch writes its table with pyarrow, which is not installed: "
+            "pip install 'petalfit[batch]'."
+        ) from None
+
+
+def write_table(records: Sequence[dict[str, Any]], path: Path) -> None:
+    """Write a row for each record. Whole or not at all.
+
+    Columns are, of every target: id, target, status, converged, message, model, pose, loss, seconds,
+    version, input_hash, finished (UTC), warnings, data (points, or places of a contour), strays, rms,
+    noise, scale, rotation (nine numbers, row by row), translation (three). Then three of each
+    parameter of each model: its name for the value, and with `_stderr` (null where the data cannot
+    tell) and `_identifiable`. What a target does not have is null.
+    """
+    import pyarrow.parquet
+
+    table = as_table(records)
+    with atomic_path(path) as temporary:
+        pyarrow.parquet.write_table(table, temporary)
+
+
+def as_table(records: Sequence[dict[str, Any]]) -> pyarrow.Table:
+    """See `write_table`."""
+    import pyarrow as pa
+
+    def column(name: str, kind: pyarrow.DataType) -> pyarrow.Array:
+        return pa.array([record.get(name) for record in records], kind)
+
+    def of_parameter(group: str, name: str, kind: pyarrow.DataType) -> pyarrow.Array:
+        return pa.array([record.get(group, {}).get(name) for record in records], kind)
+
+    numbers = pa.list_(pa.float64())
+    columns = {name: column(name, pa.string()) for name in _TEXT}
+    columns |= {name: column(name, pa.float64()) for name in _NUMBERS}
+    columns |= {name: column(name, pa.int64()) for name in ("data", "strays")}
+    columns["converged"] = column("converged", pa.bool_())
+    columns["warnings"] = column("warnings", pa.list_(pa.string()))
+    columns |= {name: column(name, numbers) for name in ("rotation", "translation")}
+    for name in _parameter_names(records):
+        columns[name] = of_parameter("values", name, pa.float64())
+        columns[f"{name}_stderr"] = of_parameter("stderr", name, pa.float64())
+        columns[f"{name}_identifiable"] = of_parameter("identifiable", name, pa.bool_())
+    return pa.table(columns)
+
+
+def _parameter_names(records: Sequence[dict[str, Any]]) -> list[str]:
+    """In the order in which the models declare them; what only an image has comes last."""
+    used = dict.fromkeys(record["model"] for record in records if "values" in record)
+    declared = [name for model in used for name in parameters(models()[model])]
+    found = [name for record in records for name in record.get("values", ())]
+    return [*dict.fromkeys(name for name in (*declared, *found) if name != "scale")]

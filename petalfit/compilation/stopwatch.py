@@ -1,0 +1,74 @@
+"""Where the time of a computation goes, by stage."""
+
+from __future__ import annotations
+
+import contextvars
+import time
+from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+class Stopwatch:
+    """Seconds by stage. A stage within another one stops the clock of the outer one."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = defaultdict(float)
+        self._stages: list[str] = []
+        self._since = 0.0
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Counts the time of a block as that of the stage `name`."""
+        self._stop()
+        self._stages.append(name)
+        try:
+            yield
+        finally:
+            self._stop()
+            self._stages.pop()
+
+    def move(self, seconds: float, name: str) -> None:
+        """Counts some of what the present stage has just taken as that of the stage `name`."""
+        self._stop()
+        self.seconds[self._stages[-1]] -= seconds
+        self.seconds[name] += seconds
+
+    def _stop(self) -> None:
+        now = time.perf_counter()
+        if self._stages:
+            self.seconds[self._stages[-1]] += now - self._since
+        self._since = now
+
+
+_current: contextvars.ContextVar[Stopwatch | None] = contextvars.ContextVar("watch", default=None)
+
+
+@contextmanager
+def watched(stage: str) -> Iterator[Stopwatch]:
+    """Yields a stopwatch for a block, which begins with the stage `stage`."""
+    watch = Stopwatch()
+    token = _current.set(watch)
+    try:
+        with watch.stage(stage):
+            yield watch
+    finally:
+        _current.reset(token)
+
+
+@contextmanager
+def stage(name: str) -> Iterator[None]:
+    """Counts the time of a block as that of the stage `name`, if anybody watches."""
+    watch = _current.get()
+    if watch is None:
+        yield
+        return
+    with watch.stage(name):
+        yield
+
+
+def moved(seconds: float, name: str) -> None:
+    """Counts some of what the present stage has just taken as that of `name`, if anybody watches."""
+    watch = _current.get()
+    if watch is not None:
+        watch.move(seconds, name)
