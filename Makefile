@@ -46,6 +46,10 @@ format: $(READY)  ## ruff's formatting and safe fixes, in place
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
 
+.PHONY: bench
+bench: $(READY)  ## the benchmarks, some forty minutes; `python -m benchmarks --help` has shorter ones
+	$(BIN)/python -m benchmarks --gate
+
 .PHONY: data
 data: $(READY)  ## make the cases of data_synthetic again
 	$(BIN)/python -m data_synthetic

@@ -1,7 +1,9 @@
 """Every test runs with petalfit's shapes and types checked as it goes."""
 
 import os
+from collections.abc import Iterator
 
+import pytest
 from hypothesis import settings
 from jaxtyping import install_import_hook
 
@@ -12,3 +14,16 @@ install_import_hook("petalfit", "beartype.beartype")
 settings.register_profile("default", deadline=None)
 settings.register_profile("ci", deadline=None, derandomize=True, database=None, print_blob=True)
 settings.load_profile("ci" if os.environ.get("CI") else "default")
+
+
+@pytest.fixture(autouse=True, scope="session")
+def programs_in_common(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """What one of the processes that run tests has compiled, the others load."""
+    from petalfit.compilation import ExecutableStore, use_store
+
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = folder.parent
+    (folder / "programs").mkdir(exist_ok=True)
+    with use_store(ExecutableStore(folder / "programs")):
+        yield

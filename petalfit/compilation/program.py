@@ -32,7 +32,7 @@ class Program(Generic[R]):
             if self.cache_size() > known:
                 moved(time.perf_counter() - began, "compiling")
             return result
-        return store.executable(self._function, args)(*jax.tree.leaves(args))
+        return store.call(self._function, args)
 
     def cache_size(self) -> int:
         """How many programs this process holds for argument shapes met so far."""

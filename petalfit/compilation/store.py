@@ -8,7 +8,7 @@ import hashlib
 import os
 import pickle
 import platform
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager, suppress
 from importlib.metadata import version
 from pathlib import Path
@@ -50,15 +50,19 @@ class ExecutableStore:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._loaded: dict[str, Callable] = {}
+        self._loaded: dict[Hashable, Callable] = {}
 
-    def executable(self, function: Callable, args: tuple) -> Callable:
-        """The compiled form of a function for arguments like `args`, called with their leaves."""
-        key = _key(function, args)
-        if key not in self._loaded:
+    def call(self, function: Callable, args: tuple) -> Any:
+        """What a function gives for arguments, by its compiled form for arguments like these."""
+        leaves, structure = jax.tree.flatten(args)
+        forms = tuple(map(_form, leaves))
+        # Within a process objects will do; the name of a file takes a hundred times as long.
+        like = function, structure, forms, _double()
+        if like not in self._loaded:
             with stage("compiling"):
-                self._loaded[key] = self._load(key) or self._compile(key, function, args)
-        return self._loaded[key]
+                key = _key(function, structure, forms)
+                self._loaded[like] = self._load(key) or self._compile(key, function, args)
+        return self._loaded[like](*leaves)
 
     def _load(self, key: str) -> Callable | None:
         with suppress(*_NOT_KEPT):
@@ -120,19 +124,22 @@ def use_store(store: ExecutableStore | None) -> Iterator[None]:
         _current.reset(token)
 
 
-def _key(function: Callable, args: tuple) -> str:
-    leaves, structure = jax.tree.flatten(args)
+def _key(function: Callable, structure: Any, forms: tuple) -> str:
     described = [
         _versions(),
         f"{function.__module__}.{function.__qualname__}",
         str(structure),
-        str([_form(leaf) for leaf in leaves]),
+        str([*forms]),
         jax.default_backend(),
         os.environ.get("XLA_FLAGS", ""),
-        str(jax.config.jax_enable_x64),  # pyright: ignore[reportAttributeAccessIssue]
+        str(_double()),
     ]
     digest = hashlib.sha256("\n".join(described).encode()).hexdigest()
     return f"{function.__name__.strip('_')}-{digest[:32]}"
+
+
+def _double() -> bool:
+    return jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def _form(leaf: Any) -> tuple[object, ...]:

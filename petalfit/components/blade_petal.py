@@ -20,6 +20,7 @@ from petalfit.surfaces import (
     length,
     number,
 )
+from petalfit.surfaces.waves import cos, sin
 
 # Gauss-Legendre nodes and weights on [0, 1], for the integrals along the midrib and across it.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(7)
@@ -122,8 +123,8 @@ class BladePetal(AbstractDeformedSurface):
         t = 2 * u
         midrib = self.midrib * (1 - v) ** 2 * jnp.exp(-((t / _GROOVE) ** 2))
         envelope = (1 - 2 * jnp.abs(v - 0.5)) * (1 - 2 * jnp.abs(u))
-        ribs = self.rib_amplitude * envelope * jnp.sin(self.rib_frequency * (u + 0.5) * jnp.pi)
-        waves = jnp.cos(2 * jnp.pi * (self.ruffle_frequency * v + self.ruffle_phase))
+        ribs = self.rib_amplitude * envelope * sin(self.rib_frequency * (u + 0.5) * jnp.pi)
+        waves = cos(2 * jnp.pi * (self.ruffle_frequency * v + self.ruffle_phase))
         return jnp.asarray(midrib + ribs + self.ruffle * t**2 * v * waves)
 
     def position(self, u: Array, v: Array) -> Array:
@@ -194,20 +195,16 @@ def bend(blade: BladePetal, q: Array, s: Array) -> Array:
         return jnp.asarray(out), jnp.asarray(blade.sickle * x)
 
     phi, psi = angles(x[..., None] * nodes)
-    along = jnp.stack(
-        [jnp.sin(psi), jnp.cos(psi) * jnp.cos(phi), jnp.cos(psi) * jnp.sin(phi)], axis=-1
-    )
+    along = jnp.stack([sin(psi), cos(psi) * cos(phi), cos(psi) * sin(phi)], axis=-1)
     midrib = s[..., None] * jnp.sum(weights[:, None] * along, axis=-2)
     phi, psi = angles(x)
     zero = jnp.zeros_like(x)
-    lateral = jnp.stack(
-        [jnp.cos(psi), -jnp.sin(psi) * jnp.cos(phi), -jnp.sin(psi) * jnp.sin(phi)], axis=-1
-    )
-    normal = jnp.stack([zero, -jnp.sin(phi), jnp.cos(phi)], axis=-1)
+    lateral = jnp.stack([cos(psi), -sin(psi) * cos(phi), -sin(psi) * sin(phi)], axis=-1)
+    normal = jnp.stack([zero, -sin(phi), cos(phi)], axis=-1)
     turn = (blade.twist * x)[..., None]
     lateral, normal = (
-        lateral * jnp.cos(turn) + normal * jnp.sin(turn),
-        normal * jnp.cos(turn) - lateral * jnp.sin(turn),
+        lateral * cos(turn) + normal * sin(turn),
+        normal * cos(turn) - lateral * sin(turn),
     )
     cup = (
         blade.cup_base * (1 - x) * (1 - 2 * x)
@@ -217,6 +214,6 @@ def bend(blade: BladePetal, q: Array, s: Array) -> Array:
     across = sigma[..., None] * nodes
     angle = cup[..., None] * across + blade.margin_curl * across**3
     angle = angle + blade.keel * jnp.tanh(across / _KEEL)
-    out = q * jnp.sum(weights * jnp.cos(angle), axis=-1)
-    up = q * jnp.sum(weights * jnp.sin(angle), axis=-1)
+    out = q * jnp.sum(weights * cos(angle), axis=-1)
+    up = q * jnp.sum(weights * sin(angle), axis=-1)
     return midrib + out[..., None] * lateral + up[..., None] * normal

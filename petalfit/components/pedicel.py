@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from petalfit.surfaces import AbstractDeformedSurface, Cylinder, Domain, Scalar, length
+from petalfit.surfaces.waves import sin
 
 _PI = jnp.pi
 
@@ -34,8 +35,8 @@ class Pedicel(AbstractDeformedSurface):
         return Cylinder(self.r, self.h)
 
     def offset(self, u: Array, v: Array) -> Array:
-        bend = self.a_2 * jnp.sin(_PI * v)
+        bend = self.a_2 * sin(_PI * v)
         return jnp.stack([bend, jnp.zeros_like(u), bend], axis=-1)
 
     def height(self, u: Array, v: Array, point: Array) -> Array:
-        return jnp.asarray(self.a_1 * jnp.sin(_PI * v - 1))
+        return jnp.asarray(self.a_1 * sin(_PI * v - 1))

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from petalfit.surfaces import AbstractDeformedSurface, Domain, Rectangle, Scalar, parameter
+from petalfit.surfaces.waves import sin
 
 _PI = jnp.pi
 
@@ -127,17 +128,17 @@ class PeonyPetal(AbstractDeformedSurface):
 
     def offset(self, u: Array, v: Array) -> Array:
         a_x = self.a_x
-        delta_x = 0.8 * a_x * u * jnp.sin(_PI * v / 2 - self.c)
-        scallop = jnp.abs(3 * v * jnp.sin(_PI * a_x * (u + 0.5) / 6))
-        delta_y = (v - 0.5) * (1.5 * a_x * jnp.sin(_PI * (u + 0.5)) + scallop)
+        delta_x = 0.8 * a_x * u * sin(_PI * v / 2 - self.c)
+        scallop = jnp.abs(3 * v * sin(_PI * a_x * (u + 0.5) / 6))
+        delta_y = (v - 0.5) * (1.5 * a_x * sin(_PI * (u + 0.5)) + scallop)
         return jnp.stack([delta_x, delta_y, jnp.zeros_like(u)], axis=-1)
 
     def height(self, u: Array, v: Array, point: Array) -> Array:
         x, y = point[..., 0], point[..., 1]
         envelope = (1 - 2 * jnp.abs(v - 0.5)) * (1 - 2 * jnp.abs(u))
-        ribs = self.rib_amplitude * envelope * jnp.sin(self.rib_frequency * (u + 0.5) * _PI)
+        ribs = self.rib_amplitude * envelope * sin(self.rib_frequency * (u + 0.5) * _PI)
         midrib = self.midrib_height * (1 - v) ** 2 * jnp.exp(-self.midrib_sharpness * u**2)
-        bend = self.dy * jnp.sin(_PI * y / 40 - 1)
-        waves = self.dx * jnp.sin(_PI * x / 2 - 0.5)
-        curl = self.tip_curl * v**3 * jnp.sin(_PI * x / 8)
+        bend = self.dy * sin(_PI * y / 40 - 1)
+        waves = self.dx * sin(_PI * x / 2 - 0.5)
+        curl = self.tip_curl * v**3 * sin(_PI * x / 8)
         return jnp.asarray(ribs + midrib + bend + waves + curl)

@@ -21,6 +21,7 @@ from petalfit.surfaces import (
     length,
     number,
 )
+from petalfit.surfaces.waves import sin
 
 _PI = jnp.pi
 
@@ -37,7 +38,7 @@ class Ovary(AbstractDeformedSurface):
         return Ellipsoid(self.r, 2 * self.r, self.r)
 
     def offset(self, u: Array, v: Array) -> Array:
-        bend = -self.r / 2 * jnp.sin(_PI / 2 + u)
+        bend = -self.r / 2 * sin(_PI / 2 + u)
         zero = jnp.zeros_like(bend)
         return jnp.stack([zero, zero, bend], axis=-1)
 
@@ -65,12 +66,12 @@ class Style(AbstractDeformedSurface):
         return Cylinder(self.r, self.slenderness * self.r)
 
     def offset(self, u: Array, v: Array) -> Array:
-        bend = self.bend * jnp.sin(_PI * v)
+        bend = self.bend * sin(_PI * v)
         zero = jnp.zeros_like(bend)
         return jnp.stack([zero, zero, bend], axis=-1)
 
     def height(self, u: Array, v: Array, point: Array) -> Array:
-        return jnp.asarray(self.swell * jnp.sin(_PI * v - 1))
+        return jnp.asarray(self.swell * sin(_PI * v - 1))
 
 
 class Stigma(AbstractSurface):

@@ -17,6 +17,7 @@ from petalfit.surfaces import (
     Scalar,
     length,
 )
+from petalfit.surfaces.waves import cos, sin
 
 
 class CylinderReceptacle(AbstractSurface):
@@ -33,10 +34,10 @@ class CylinderReceptacle(AbstractSurface):
 
     def position(self, u: Array, v: Array) -> Array:
         # A superellipse in the form of one that is smooth at its ends: (c, s)/(c⁴ + s⁴)^¼.
-        cosine, sine = jnp.cos(u), jnp.sin(u)
+        cosine, sine = cos(u), sin(u)
         scale = (cosine**4 + sine**4) ** -0.25
         across, up = self.r * cosine * scale, 0.5 * self.h * sine * scale
-        return jnp.stack([across * jnp.cos(v), up, across * jnp.sin(v)], axis=-1)
+        return jnp.stack([across * cos(v), up, across * sin(v)], axis=-1)
 
 
 class ConeReceptacle(AbstractSurface):
@@ -55,7 +56,7 @@ class ConeReceptacle(AbstractSurface):
         w = 1 - 2 * jnp.abs(u) / math.pi
         across = self.r * w
         up = jnp.where(u < 0, self.h * (w - 1), 0.25 * self.r * (1 - w**2))
-        return jnp.stack([across * jnp.cos(v), up, across * jnp.sin(v)], axis=-1)
+        return jnp.stack([across * cos(v), up, across * sin(v)], axis=-1)
 
 
 class Bowl(AbstractDeformedSurface):
@@ -85,11 +86,11 @@ class Bowl(AbstractDeformedSurface):
         return Ellipsoid(self.r, 3 * self.r, self.r)
 
     def offset(self, u: Array, v: Array) -> Array:
-        down = jnp.where(u >= 0, -self.r * jnp.cos(jnp.pi / 2 - u), 0.0)
+        down = jnp.where(u >= 0, -self.r * cos(jnp.pi / 2 - u), 0.0)
         zero = jnp.zeros_like(down)
         if self.hollow == "printed":
             return jnp.stack([zero, zero, down], axis=-1)
         return jnp.stack([zero, 5.5 * down, zero], axis=-1)
 
     def height(self, u: Array, v: Array, point: Array) -> Array:
-        return jnp.where(u >= 0, self.r / 2, self.r / 1.4) * jnp.abs(jnp.sin(2 * u))
+        return jnp.where(u >= 0, self.r / 2, self.r / 1.4) * jnp.abs(sin(2 * u))

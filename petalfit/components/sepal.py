@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from petalfit.surfaces import AbstractDeformedSurface, Domain, Rectangle, Scalar, length, parameter
+from petalfit.surfaces.waves import cos
 
 _PI = jnp.pi
 
@@ -39,7 +40,7 @@ class Sepal(AbstractDeformedSurface):
         return Rectangle(self.a_x, self.b_y, 0.0)
 
     def offset(self, u: Array, v: Array) -> Array:
-        narrowing = self.a_x * u * (jnp.cos(self.c * v) ** 2 - 1)
+        narrowing = self.a_x * u * (cos(self.c * v) ** 2 - 1)
         zero = jnp.zeros_like(narrowing)
         return jnp.stack([narrowing, zero, zero], axis=-1)
 

@@ -21,6 +21,7 @@ from petalfit.surfaces import (
     angle,
     length,
 )
+from petalfit.surfaces.waves import cos, sin
 
 _PI = jnp.pi
 
@@ -42,7 +43,7 @@ class Anther(AbstractDeformedSurface):
         return Ellipsoid(self.r, 3 * self.r, self.r)
 
     def height(self, u: Array, v: Array, point: Array) -> Array:
-        return jnp.asarray(self.swell * jnp.cos(u) * jnp.abs(jnp.cos(v)))
+        return jnp.asarray(self.swell * cos(u) * jnp.abs(cos(v)))
 
 
 class Filament(AbstractDeformedSurface):
@@ -66,7 +67,7 @@ class Filament(AbstractDeformedSurface):
         return Cylinder(self.r, self.h)
 
     def offset(self, u: Array, v: Array) -> Array:
-        lean = self.a_2 * jnp.sin(_PI * v / 2) ** 2
+        lean = self.a_2 * sin(_PI * v / 2) ** 2
         zero = jnp.zeros_like(lean)
         return jnp.stack([zero, zero, lean], axis=-1)
 

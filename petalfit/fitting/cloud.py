@@ -102,9 +102,8 @@ class ObservedCloud(AbstractObserved):
         score = np.zeros(len(t))
         for moved in (position + noise, position - noise):
             around = sample._replace(points=jnp.asarray(moved))
-            blurred = programs.survey(
-                coordinates, around, t, programs.refine(model, moved, places, 3)
-            )
+            near = programs.refine(model, moved, places, 3, around=False)
+            blurred = programs.survey(coordinates, around, t, near)
             score += np.asarray(blurred.slopes).T @ (weights * np.asarray(blurred.distance)) / 2
         share = np.sum(weights) / np.sum(np.asarray(data.weights))
         score /= share * float(seen.sigma) ** 2

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from petalfit.compilation import Program
 from petalfit.fitting import solve as _solve
 from petalfit.fitting import survey as _survey
-from petalfit.fitting.coordinates import Coordinates
+from petalfit.fitting.coordinates import Coordinates, Numbers
 from petalfit.residuals import ContourDistance, nearest_nodes, pull_back, refine_foot_points
 from petalfit.surfaces import AbstractSurface
 
@@ -60,6 +60,19 @@ contour_covectors = Program(_contour_covectors)
 contour_slopes = Program(_contour_slopes)
 positions = Program(_positions)
 nearest = Program(nearest_nodes)
-refine = Program(refine_foot_points)
+_refine = Program(refine_foot_points)
 survey = Program(_survey.survey)
+
+
+def refine(
+    surface: AbstractSurface,
+    points: Numbers,
+    uv: Numbers,
+    iterations: int,
+    around: bool = True,
+) -> Float[Array, "n 2"]:
+    """See `refine_foot_points`; the same program whether or not any look around."""
+    return _refine(surface, points, uv, iterations, around)
+
+
 solve = Program(_solve.solve)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from petalfit.surfaces import AbstractSurface
 
@@ -40,6 +40,7 @@ def refine_foot_points(
     points: Float[Array, "n 3"],
     uv: Float[Array, "n 2"],
     iterations: int | Int[Array, ""],
+    around: bool | Bool[Array, ""] = True,
 ) -> Float[Array, "n 2"]:
     """Minimisers of |S(u, v) − x| over the surface's domain, from the starts `uv`.
 
@@ -54,11 +55,21 @@ def refine_foot_points(
         points: Points x, in the surface's frame.
         uv: Start of every point, inside the domain.
         iterations: Newton steps for all; two from a good start, six from a coarse one.
+        around: Whether any look for a better minimum at all.
 
     Returns:
         Foot points, never farther from `points` than `uv` was.
     """
     uv, doubt, squared = _newton(surface, points, uv, iterations)
+    return jax.lax.cond(
+        around, lambda: _looked_around(surface, points, uv, doubt, squared), lambda: uv
+    )
+
+
+def _looked_around(
+    surface: AbstractSurface, points: Array, uv: Array, doubt: Array, squared: Array
+) -> Array:
+    """The better minima that the doubtful and the farthest points find."""
     n = len(uv)
     _, doubtful = jax.lax.top_k(doubt, min(n, max(32, n // 32)))
     _, far = jax.lax.top_k(squared, min(n, max(32, n // 64)))
@@ -94,10 +105,10 @@ def _places_to_look(surface: AbstractSurface, points: Array) -> Array:
     Where a surface folds over itself, the nearest node of all may lie on the wrong sheet.
     """
     (u_low, u_high), (v_low, v_high) = surface.domain
-    fraction = (jnp.arange(64) + 0.5) / 64
+    fraction = (jnp.arange(32) + 0.5) / 32
     u, v = u_low + (u_high - u_low) * fraction, v_low + (v_high - v_low) * fraction
     uv = jnp.stack(jnp.meshgrid(u, v, indexing="ij"), axis=-1)
-    uv = uv.reshape(8, 8, 8, 8, 2).transpose(0, 2, 1, 3, 4).reshape(64, 64, 2)  # parts, nodes
+    uv = uv.reshape(8, 4, 8, 4, 2).transpose(0, 2, 1, 3, 4).reshape(64, 16, 2)  # parts, nodes
     nodes = surface.position(uv[..., 0], uv[..., 1])
 
     def look(x: Array) -> Array:

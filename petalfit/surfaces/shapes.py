@@ -10,6 +10,7 @@ from jaxtyping import Array
 
 from petalfit.surfaces.parameter import length
 from petalfit.surfaces.surface import AbstractSurface, Domain, Scalar
+from petalfit.surfaces.waves import cos, sin
 
 
 def _size(default: float, symbol: str, meaning: str) -> Any:
@@ -44,7 +45,7 @@ class Cylinder(AbstractSurface):
     orientation: ClassVar[float] = -1.0  # Eq. 1 runs so that ∂u × ∂v points to the axis
 
     def position(self, u: Array, v: Array) -> Array:
-        return jnp.stack([self.r * jnp.cos(u), self.h * v, self.r * jnp.sin(u)], axis=-1)
+        return jnp.stack([self.r * cos(u), self.h * v, self.r * sin(u)], axis=-1)
 
 
 class Ellipsoid(AbstractSurface):
@@ -59,9 +60,9 @@ class Ellipsoid(AbstractSurface):
     def position(self, u: Array, v: Array) -> Array:
         return jnp.stack(
             [
-                self.r_x * jnp.cos(u) * jnp.cos(v),
-                self.r_y * jnp.sin(u),
-                self.r_z * jnp.cos(u) * jnp.sin(v),
+                self.r_x * cos(u) * cos(v),
+                self.r_y * sin(u),
+                self.r_z * cos(u) * sin(v),
             ],
             axis=-1,
         )

@@ -151,7 +151,7 @@ def test_a_blade_that_is_turned_over_says_the_same():
     """Foot points, signs of distances and errors belong to the numbers that are reported."""
     with jax.enable_x64(True):
         rng = np.random.default_rng(6)
-        names = ("width", "bend", "cup_mid", "keel", "skew", *pf.components.Posed.similarity)
+        names = ("width", "bend", "cup_mid", "keel", "twist", *pf.components.Posed.similarity)
         hollow = TRUTH.turned_over()
         model = pf.components.Posed(hollow, random_rotation(rng), np.array([1.0, 2.0, 3.0]), 0.4)
         uv = np.stack([rng.uniform(-0.45, 0.45, 96), rng.uniform(0.05, 0.95, 96)], axis=-1)

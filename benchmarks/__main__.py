@@ -1,0 +1,135 @@
+"""`python -m benchmarks`: how well, how fast, how robustly petals are fitted, beside other tools.
+
+Every suite runs in a process of its own, so that a crash of one is a failure and no end of the others.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+from tyro.conf import Positional, arg
+
+from benchmarks import gate
+from benchmarks.metric import Curve, Metric
+from benchmarks.page import surroundings, write_page
+from benchmarks.suites import NAMES
+
+_FAILED, _WRONG = 1, 2
+
+
+def main(
+    suites: Annotated[
+        Positional[tuple[str, ...]],
+        arg(metavar="SUITE", help=f"Of {', '.join(NAMES)}; all without."),
+    ] = (),
+    quick: Annotated[bool, arg(help="Fewer petals: under five minutes on two cores.")] = False,
+    json_file: Annotated[
+        Path | None, arg(name="json", metavar="FILE", help="Write all numbers there.")
+    ] = None,
+    check: Annotated[
+        bool, arg(name="gate", help="Fail if something is worse than benchmarks/baseline.json.")
+    ] = False,
+    update_baseline: Annotated[
+        bool, arg(help="Write the numbers of these suites into benchmarks/baseline.json.")
+    ] = False,
+    results: Annotated[
+        bool, arg(help="Write benchmarks/RESULTS.md and its plots; all suites have to run.")
+    ] = False,
+    one: tyro.conf.Suppress[Path | None] = None,
+) -> int:
+    """Run benchmarks. Exit status 1 if a suite crashed or the gate is closed."""
+    unknown = [name for name in suites if name not in NAMES]
+    if unknown:
+        print(
+            f"there is no suite {', '.join(unknown)}; there are {', '.join(NAMES)}.",
+            file=sys.stderr,
+        )
+        return _WRONG
+    if one is not None:
+        return _run_here(suites[0], quick, one)
+    chosen = [name for name in NAMES if not suites or name in suites]
+    if results and len(chosen) < len(NAMES):
+        print("--results needs all suites; name none.", file=sys.stderr)
+        return _WRONG
+    began = time.monotonic()
+    metrics: list[Metric] = []
+    curves: list[Curve] = []
+    crashed = []
+    for name in chosen:
+        since = time.monotonic()
+        content = _run_apart(name, quick)
+        if content is None:
+            crashed.append(name)
+            continue
+        own = [Metric(**entry) for entry in content["metrics"]]
+        metrics += own
+        curves += [Curve(**entry) for entry in content["curves"]]
+        print(f"{name}, {time.monotonic() - since:.0f} s")
+        for metric in own:
+            print(_line(metric))
+    seconds = time.monotonic() - began
+    about = surroundings()
+    if json_file is not None:
+        content = {"about": about, "quick": quick, "seconds": seconds, "crashed": crashed}
+        content["metrics"] = [dataclasses.asdict(metric) for metric in metrics]
+        content["curves"] = [dataclasses.asdict(curve) for curve in curves]
+        json_file.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    mode = "quick" if quick else "full"
+    failed = [f"the suite {name} crashed." for name in crashed]
+    if check:
+        failed += gate.complaints(metrics, mode, chosen)
+        print(f"gate {'closed' if failed else 'open'}, after {seconds:.0f} s")
+    if update_baseline and not crashed:
+        gate.update(metrics, mode, chosen)
+    if results and not crashed:
+        write_page(metrics, curves, about, seconds)
+    for sentence in failed:
+        print(sentence, file=sys.stderr)
+    return _FAILED if failed else 0
+
+
+def _run_apart(name: str, quick: bool) -> dict[str, Any] | None:
+    """A suite in a process of its own; None if that did not end well."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "suite.json"
+        command = [sys.executable, "-m", "benchmarks", name, "--one", str(path)]
+        ended = subprocess.run([*command, *(["--quick"] if quick else [])])
+        if ended.returncode != 0 or not path.exists():
+            print(f"{name} crashed with status {ended.returncode}", file=sys.stderr)
+            return None
+        return json.loads(path.read_text(encoding="utf-8"))
+
+
+def _run_here(name: str, quick: bool, path: Path) -> int:
+    from benchmarks.suites import suite
+    from petalfit.cli.console import progress
+    from petalfit.compilation.cache import compilation_cache
+
+    found: list[Metric | Curve] = []
+    with progress(False) as show, compilation_cache():
+        found += suite(name)(quick, lambda text: show(f"{name}: {text}"))
+    content = {
+        "metrics": [dataclasses.asdict(x) for x in found if isinstance(x, Metric)],
+        "curves": [dataclasses.asdict(x) for x in found if isinstance(x, Curve)],
+    }
+    path.write_text(json.dumps(content), encoding="utf-8")
+    return 0
+
+
+def _line(metric: Metric) -> str:
+    value = f"{metric.value:.4g}" if math.isfinite(metric.value) else "–"
+    spread = f"± {metric.spread:.2g}" if metric.spread else ""
+    return f"  {metric.name:<40}{value:>9} {metric.unit:<2} {spread:<10} {metric.note}"
+
+
+if __name__ == "__main__":
+    sys.exit(tyro.cli(main, config=(tyro.conf.FlagCreatePairsOff,)))

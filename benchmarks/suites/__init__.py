@@ -1,0 +1,14 @@
+"""The suites, in the order in which they run."""
+
+from __future__ import annotations
+
+import importlib
+
+from benchmarks.metric import Suite
+
+NAMES = ("startup", "recovery", "silhouette", "robustness", "real", "speed", "scaling")
+
+
+def suite(name: str) -> Suite:
+    """By its name; imported when it runs, in a process of its own."""
+    return importlib.import_module(f"benchmarks.suites.{name}").run
