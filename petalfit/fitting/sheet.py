@@ -51,6 +51,8 @@ _HOPELESS = 0.1  # of the number of points
 _SLACK = 1.5  # spacings of the points
 _SETTLED = 0.3  # √χ² of a round's gain
 _STUCK = 50.0
+_HELD, _HELD_BACK = 0.3, 3.0  # prior of a step, in √χ² of one unit for each point
+_FAR = 0.012  # of the extent: a blade that is so far from its points may be in the wrong place
 _JITTER = 0.01  # of the number of points, in the cost: foot points that jump to and fro
 # Rounds in which the best cost does not fall by so large a part of the points end a descent.
 _PATIENCE, _LEVEL = 6, 0.003
@@ -178,11 +180,19 @@ class Sheet:
         return _Place(t, cloud, emptiness, np.asarray(survey.information), sigma, cost)
 
     def descend(
-        self, coordinates: Coordinates, model: AbstractSurface, rounds: int, tolerance: float
+        self,
+        coordinates: Coordinates,
+        model: AbstractSurface,
+        rounds: int,
+        tolerance: float,
+        held: float = _HELD,
     ) -> tuple[_Place, int, float]:
-        """Steps from a model; how many there were, and how much the last ones changed, in √χ²."""
+        """Steps from a model; how many there were, and how much the last ones changed, in √χ².
+
+        `held` is how strongly the first step is held back.
+        """
         here = self.place(coordinates, coordinates.inverse(model), None)
-        best, held, moved, number, since, level = here, 0.3, np.inf, 0, 0, here.cost
+        best, moved, number, since, level = here, np.inf, 0, 0, here.cost
         for number in range(1, rounds + 1):
             if best.cost < level - _LEVEL * self.count:
                 since, level = number, best.cost
@@ -318,12 +328,16 @@ class _Descended(NamedTuple):
 
 
 def _descended(
-    coordinates: Coordinates, model: AbstractSurface, scan: Scan, rounds: int
+    coordinates: Coordinates,
+    model: AbstractSurface,
+    scan: Scan,
+    rounds: int,
+    held: float = _HELD,
 ) -> _Descended:
     """Steps from a model; among clutter some more whenever other points belong to the sheet."""
     points, weights, members = scan.points, scan.weights, scan.likely.astype(float)
     sheet = Sheet.of(points, weights, scan.noise, members)
-    place, number, moved = sheet.descend(coordinates, model, rounds, _SETTLED)
+    place, number, moved = sheet.descend(coordinates, model, rounds, _SETTLED, held)
     if scan.clutter is None:
         return _Descended(sheet, place, number, moved, None)
     clearings = 0
@@ -346,6 +360,10 @@ def _settle(coordinates: Coordinates, label: str, model: AbstractSurface, scan: 
         near = _descended(coordinates, model, scan.first(_SOME), rounds)
         model, rounds, number = coordinates.model(near.place.t), _AGAIN, near.rounds
     end = _descended(coordinates, model, scan, rounds)
+    if end.place.sigma > _FAR * np.linalg.norm(np.ptp(scan.points, axis=0)):
+        # Shorter steps may lead around what this one fell into.
+        other = _descended(coordinates, model, scan, rounds, _HELD_BACK)
+        end = min(end, other, key=lambda end: end.place.cost)
     settled = _finish(end.sheet, coordinates, label, end.place, number + end.rounds, end.moved)
     if end.log_likelihood is None:
         return settled

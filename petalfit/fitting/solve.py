@@ -121,7 +121,7 @@ def solve(
             optx.LevenbergMarquardt(rtol=1e-2, atol=1e-2, linear_solver=lx.Normal(lx.Cholesky())),
             jnp.zeros_like(state.t),
             held,
-            max_steps=4,
+            max_steps=6,
             throw=False,
         )
         z = jnp.where(jnp.isfinite(solution.value).all(), solution.value, 0.0)
