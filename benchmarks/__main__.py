@@ -44,7 +44,6 @@ def main(
     results: Annotated[
         bool, arg(help="Write benchmarks/RESULTS.md and its plots; all suites have to run.")
     ] = False,
-    one: tyro.conf.Suppress[Path | None] = None,
 ) -> int:
     """Run benchmarks. Exit status 1 if a suite crashed or the gate is closed."""
     unknown = [name for name in suites if name not in NAMES]
@@ -54,8 +53,6 @@ def main(
             file=sys.stderr,
         )
         return _WRONG
-    if one is not None:
-        return _run_here(suites[0], quick, one)
     chosen = [name for name in NAMES if not suites or name in suites]
     if results and len(chosen) < len(NAMES):
         print("--results needs all suites; name none.", file=sys.stderr)
@@ -101,28 +98,13 @@ def _run_apart(name: str, quick: bool) -> dict[str, Any] | None:
     """A suite in a process of its own; None if that did not end well."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "suite.json"
-        command = [sys.executable, "-m", "benchmarks", name, "--one", str(path)]
-        ended = subprocess.run([*command, *(["--quick"] if quick else [])])
+        mode = "quick" if quick else "full"
+        command = [sys.executable, "-m", "benchmarks.suites", name, mode, str(path)]
+        ended = subprocess.run(command)
         if ended.returncode != 0 or not path.exists():
             print(f"{name} crashed with status {ended.returncode}", file=sys.stderr)
             return None
         return json.loads(path.read_text(encoding="utf-8"))
-
-
-def _run_here(name: str, quick: bool, path: Path) -> int:
-    from benchmarks.suites import suite
-    from petalfit.cli.console import progress
-    from petalfit.compilation.cache import compilation_cache
-
-    found: list[Metric | Curve] = []
-    with progress(False) as show, compilation_cache():
-        found += suite(name)(quick, lambda text: show(f"{name}: {text}"))
-    content = {
-        "metrics": [dataclasses.asdict(x) for x in found if isinstance(x, Metric)],
-        "curves": [dataclasses.asdict(x) for x in found if isinstance(x, Curve)],
-    }
-    path.write_text(json.dumps(content), encoding="utf-8")
-    return 0
 
 
 def _line(metric: Metric) -> str:

@@ -18,12 +18,13 @@ settings.load_profile("ci" if os.environ.get("CI") else "default")
 
 @pytest.fixture(autouse=True, scope="session")
 def programs_in_common(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """What one of the processes that run tests has compiled, the others load."""
-    from petalfit.compilation import ExecutableStore, use_store
+    """What one process has compiled the others load: those that run tests, and those that tests start."""
+    from petalfit.compilation.cache import VARIABLE, compilation_cache
 
     folder = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
         folder = folder.parent
-    (folder / "programs").mkdir(exist_ok=True)
-    with use_store(ExecutableStore(folder / "programs")):
-        yield
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(VARIABLE, str(folder / "cache"))
+        with compilation_cache():
+            yield

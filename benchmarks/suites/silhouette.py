@@ -10,7 +10,7 @@ from benchmarks.targets import SMOOTH, errors, mask_of, oblique, petal_of
 
 
 def run(quick: bool, tell: Tell) -> Iterator[Metric]:
-    petals = 8 if quick else 40
+    petals = 6 if quick else 40
     found, inside = [], []
     off: dict[str, list[float]] = {name: [] for name in SMOOTH}
     ribs = []

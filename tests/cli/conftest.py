@@ -1,6 +1,6 @@
 """The command line without a process, and fits that take no time."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,13 +18,6 @@ class Outcome:
     status: int
     out: str
     err: str
-
-
-@pytest.fixture(autouse=True, scope="session")
-def no_cache_outside() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PETALFIT_CACHE", "")
-        yield
 
 
 @pytest.fixture
