@@ -131,7 +131,15 @@ def summarise(result: "FitResult", noise: float | None) -> str:
             f"{what}, rms distance {part.rms:.3g}{unit}, noise {part.noise:.3g}{unit} "
             f"({'given' if given else 'estimated'})"
         )
-    return "; ".join([*parts, outcome(result)])
+    return "; ".join([*parts, outcome(result), *where_the_time_went(result)])
+
+
+def where_the_time_went(result: "FitResult") -> list[str]:
+    """The seconds of a fit by stage, in a part of a sentence; none if they are not known."""
+    if not result.timings:
+        return []
+    stages = [f"{stage} {seconds:.2g}" for stage, seconds in result.timings.items()]
+    return [f"{sum(result.timings.values()):.2g} s ({', '.join(stages)})"]
 
 
 def outcome(result: "FitResult") -> str:

@@ -175,7 +175,7 @@ def _view_improvement(
             len(t), dtype=t.dtype
         )
         move = jnp.linalg.solve(matrix, slopes.T @ (calm * gap) + _PRIOR * t * coordinates.active)
-        return t - jnp.clip(move, -1.0, 1.0), jnp.mean(jnp.log1p(gap**2))
+        return (t - jnp.clip(move, -1.0, 1.0)).astype(t.dtype), jnp.mean(jnp.log1p(gap**2))
 
     def one(t: Array) -> tuple[Array, Array]:
         t, scores = jax.lax.scan(step, t, None, length=_STEPS)

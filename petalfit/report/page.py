@@ -347,6 +347,8 @@ def _provenance(result: FitResult) -> str:
         rows["scale"] = f"{pose.scale!r}"
         rows["rotation"] = f"<code>{rotation}</code>"
         rows["translation"] = ", ".join(map(repr, pose.translation.tolist()))
+    if result.timings:
+        rows["seconds"] = ", ".join(f"{name} {x:.2g}" for name, x in result.timings.items())
     rows["petalfit"] = __version__
     rows["file format"] = f"{results.FORMAT}, version {results.VERSION}"
     values = ((name, result.values[name]) for name in parameters(result.model))

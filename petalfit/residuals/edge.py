@@ -36,8 +36,8 @@ def edge_score(beyond: Float[Array, "..."]) -> Float[Array, "..."]:
 
 
 _CELLS = 8  # per side, in which the density of points along the edge is counted
-_NODES = 32  # of the midpoint rule along every side
-_GRID = 16  # per side, of the midpoint rule for the cells' areas
+_NODES = 64  # of the midpoint rule along every side
+_GRID = 32  # per side, of the midpoint rule for the cells' areas
 EDGE_NODES = 4 * _NODES
 
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from petalfit.compilation import Program
+from petalfit.compilation import Program, use_store, watched
 from petalfit.compilation import cache as module
 from petalfit.compilation.cache import VARIABLE, compilation_cache, user_cache
 
@@ -146,3 +146,17 @@ def test_processor_is_part_of_the_key(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Path, "read_text", lambda self, **_: "model name : other\nflags : sse2\n")
     assert module._processor() != here
     monkeypatch.setattr(Path, "read_text", read)
+
+
+def test_without_a_store_a_program_compiles_once_and_says_so() -> None:
+    program = Program(_sum_of_squares)
+    with use_store(None):
+        times = []
+        for _ in range(2):
+            with watched("computing") as watch:
+                program({"a": np.arange(11.0, dtype=np.float32)})
+            times.append(watch.seconds)
+    first, second = times
+    assert first["compiling"] > 0
+    assert "compiling" not in second
+    assert program.cache_size() == 1

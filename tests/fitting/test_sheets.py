@@ -94,7 +94,7 @@ def test_emptiness_pulls_back_what_reaches_beyond_the_points():
 def posed():
     """A cloud of a blade somewhere, and what became of it."""
     rng = np.random.default_rng(3)
-    cloud = TRUTH.sample(2000, seed=5, noise=NOISE)
+    cloud = TRUTH.sample(768, seed=5, noise=NOISE)
     rotation, scale, shift = random_rotation(rng), 3.7, np.array([40.0, -20.0, 9.0])
     points = scale * cloud.points @ rotation.T + shift
     return (
@@ -186,7 +186,7 @@ def test_a_blade_that_is_turned_over_says_the_same():
 @pytest.mark.parametrize("name", ["lily0_tepal1", "tulip_rosaLjus_petal1"])
 def test_a_petal_that_nobody_generated(name):
     """Both ways below 0.7 % of the diagonal; measured on dense samples."""
-    cloud = pf.PointCloud.load(PETALS / f"{name}.ply", n=2000)
+    cloud = pf.PointCloud.load(PETALS / f"{name}.ply", n=768)
     result = pf.fit_petal(cloud, model=pf.BladePetal, pose="similarity", throw=False)
     dense = pf.PointCloud.load(PETALS / f"{name}.ply", n=60_000, seed=1).points
     surface = pf.PointCloud.from_mesh(result.mesh((97, 97)), n=60_000).points
