@@ -15,6 +15,7 @@ from petalfit.fitting.canonical import Canonical
 from petalfit.fitting.cloud import ObservedCloud, feet, pad, with_all_points
 from petalfit.fitting.coordinates import Coordinates, with_values
 from petalfit.fitting.determined import stay_at_the_start
+from petalfit.fitting.patches import Patches
 from petalfit.fitting.peony_pose import Placed, placed_petals
 from petalfit.fitting.peony_start import RIBS
 from petalfit.fitting.robust import Cleared, Clutter, approach, clear
@@ -126,10 +127,23 @@ def _from_known(
             coordinates, _whole, scan.points[some], scan.weights[some], progress
         )
 
+    spread = not isinstance(coordinates.template, PeonyPetal)
+
     def settle(label: str, model: AbstractSurface, prior: Prior | None) -> Settled:
-        return _settled(scan, coordinates, label, model, prior)
+        end = _settled(scan, coordinates, label, model, prior)
+        return _spread_out(end, scan) if spread else end
 
     return follow(coordinates, starts, settle, progress)
+
+
+def _spread_out(end: Settled, scan: Scan) -> Settled:
+    """The end, compared with others by the chance of an even spread over its area too.
+
+    A surface that goes on where no points are may follow the others as well as a shorter one.
+    """
+    area = float(np.sum(Patches.of(end.model).area))
+    chance = 2 * float(np.sum(scan.weights) * np.log(max(area, 1e-300)))
+    return dataclasses.replace(end, chi2=end.chi2 + chance)
 
 
 def _from_anywhere(
