@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 from jaxtyping import Array
@@ -41,6 +41,8 @@ START_POINTS = 1536
 _APPROACH_POINTS = 2048
 # Rivals of the best rib frequency are followed if the periodogram prefers it by less than this in χ².
 _CLEAR_LEAD = 50.0
+# Gain in χ² of ribs in what a right end leaves: by chance alone, the best of 200 frequencies has 10.
+_RIBS_LEFT = 20.0
 # Poses that are tried at first, and along the normal of the best of these; more in an unknown unit or
 # among clutter.
 _TRIED, _TRIED_IN_DOUBT = (3, 0), (4, 3)
@@ -208,15 +210,49 @@ def _settled_poses(
     coordinates = Coordinates.of(smooth.at_rest(programs.numbers(template)), names)
     smooth = smooth.at_rest(programs.numbers(smooth.surface))
     (term,) = near.polished.terms
-    starts = [("smooth", smooth)]
-    if set(RIBS) & set(names):
-        starts = [*rib_starts(coordinates, smooth, near.cloud, term)]
-    starts = [(f"{label}, {name}", model) for name, model in starts]
+    settled: list[Settled] = []
+
+    def starts() -> Iterator[tuple[str, AbstractSurface]]:
+        if not set(RIBS) & set(names):
+            yield f"{label}, smooth", smooth
+            return
+        # Among clutter a periodogram tells less: there all of them are followed.
+        lead = _CLEAR_LEAD if scan.clutter is None else np.inf
+        clear = [*rib_starts(coordinates, smooth, near.cloud, term, lead)]
+        rest = [*rib_starts(coordinates, smooth, near.cloud, term, np.inf)][len(clear) :]
+        yield from ((f"{label}, {name}", model) for name, model in clear)
+        # Beside a smooth petal that is not quite the right one, ribs may seem to have another frequency.
+        if rest and _ribs_left(coordinates, scan, min(settled, key=lambda end: end.chi2)):
+            yield from ((f"{label}, {name}", model) for name, model in rest)
 
     def settle(name: str, model: AbstractSurface, prior: Prior | None) -> Settled:
-        return _settled(scan, coordinates, name, model, prior)
+        settled.append(_settled(scan, coordinates, name, model, prior))
+        return settled[-1]
 
-    return follow(coordinates, starts, settle, progress)
+    return follow(coordinates, starts(), settle, progress)
+
+
+def _ribs_left(coordinates: Coordinates, scan: Scan, end: Settled) -> bool:
+    """Whether other ribs would explain what an end leaves: then its own are the wrong ones."""
+    (seen,) = end.seen
+    assert isinstance(end.model, Posed)
+    assert seen.uv is not None
+    count = len(scan.points)
+    weights = np.asarray(seen.weights)[:count]
+    cloud = pad(scan.points, weights, seen.noise)
+    found = programs.survey(
+        coordinates.around(end.model), cloud, coordinates.inverse(end.model), seen.uv
+    )
+    place = end.model.placement
+    basins = peony_start.rib_periodogram(
+        None,
+        np.asarray(found.distance)[:count] / float(place.scale),
+        np.asarray(found.normal)[:count] @ np.asarray(place.rotation)[:, 2],
+        weights,
+        np.asarray(seen.uv)[:count],
+        np.asarray(found.slopes)[:count],
+    )
+    return basins[0].gain > _RIBS_LEFT
 
 
 def _likelihood(near: Cleared) -> float:
@@ -271,7 +307,7 @@ def _polished(
 
 def follow(
     coordinates: Coordinates,
-    starts: Sequence[tuple[str, AbstractSurface]],
+    starts: Iterable[tuple[str, AbstractSurface]],
     settle: Callable[[str, AbstractSurface, Prior | None], Settled],
     progress: Progress,
 ) -> list[Settled]:
@@ -368,8 +404,12 @@ def rib_starts(
     smooth: Surface,
     cloud: ObservedCloud,
     term: AbstractTerm | None = None,
+    lead: float = _CLEAR_LEAD,
 ) -> Iterator[tuple[str, Surface]]:
-    """A petal without ribs, perhaps posed, with those that a cloud's distances to it speak for."""
+    """A petal without ribs, perhaps posed, with those that a cloud's distances to it speak for.
+
+    The best first, then those whose χ² is worse by less than `lead`.
+    """
     held = coordinates.holding(RIBS).around(smooth)
     data, uv = cloud.data, cloud.look(smooth, term).uv
     seen = programs.survey(held, data, held.inverse(smooth), uv)
@@ -388,7 +428,7 @@ def rib_starts(
         np.asarray(seen.slopes)[:, held.active > 0],
     )
     for frequency, amplitude, gain in basins:
-        if basins[0].gain - gain <= _CLEAR_LEAD:
+        if basins[0].gain - gain <= lead:
             ribs = {"rib_frequency": frequency, "rib_amplitude": amplitude}
             yield f"rib_frequency {frequency:.2f}", with_values(smooth, ribs)
 
