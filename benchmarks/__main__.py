@@ -88,7 +88,7 @@ def main(
     if update_baseline and not crashed:
         gate.update(metrics, mode, chosen)
     if results and not crashed:
-        write_page(metrics, curves, about, seconds)
+        write_page(metrics, curves, about, seconds, mode)
     for sentence in failed:
         print(sentence, file=sys.stderr)
     return _FAILED if failed else 0

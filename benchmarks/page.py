@@ -60,7 +60,11 @@ def surroundings() -> dict[str, Any]:
 
 
 def write_page(
-    metrics: Sequence[Metric], curves: Sequence[Curve], about: dict[str, Any], seconds: float
+    metrics: Sequence[Metric],
+    curves: Sequence[Curve],
+    about: dict[str, Any],
+    seconds: float,
+    mode: str,
 ) -> None:
     """`RESULTS.md` beside this file, and `plots/`."""
     versions = ", ".join(f"{name} {version}" for name, version in about["versions"].items())
@@ -73,7 +77,7 @@ def write_page(
         "discarded, and nothing else is.",
         "",
         f"{about['processor']}, {about['cores']} cores, {about['system']}, Python {about['python']}. "
-        f"{versions}. {seconds / 60:.0f} minutes in all.",
+        f"{versions}. A {mode} run, {seconds / 60:.0f} minutes in all.",
     ]
     drawn = _draw(curves)
     for suite, title in _TITLES.items():

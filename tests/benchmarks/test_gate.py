@@ -116,7 +116,7 @@ def test_the_page(tmp_path, monkeypatch):
     monkeypatch.setattr("benchmarks.page.HERE", tmp_path)
     curve = Curve("scaling.points", [1.0, 10.0], [0.1, 1.0], "points", "s", True, "points")
     write_page([*METRICS, Metric("speed.x", math.nan, "×", "more", note="missing: X")], [curve],
-               surroundings(), 60.0)  # fmt: skip
+               surroundings(), 60.0, "quick")  # fmt: skip
     text = (tmp_path / "RESULTS.md").read_text()
     assert "| ratio | 20 × |" in text
     assert "missing: X" in text
