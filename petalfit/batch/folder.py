@@ -15,8 +15,7 @@ from petalfit.batch.many import CRASHED
 from petalfit.batch.processes import Crash, cores, in_order
 from petalfit.batch.records import Task, finished, keep, perform, read_record
 from petalfit.batch.table import TABLE, check_pyarrow, write_table
-from petalfit.compilation import current_store
-from petalfit.compilation.cache import usable_folder
+from petalfit.compilation.cache import folder_in_common
 from petalfit.observations import TargetError
 
 FITS = "fits"
@@ -87,8 +86,7 @@ def run_batch(
         TargetError: The output cannot be written, its disk is full, or the scheduler does not answer.
     """
     check_pyarrow()
-    store = current_store()
-    programs = usable_folder() if store is None else store.folder
+    programs = folder_in_common()
     tasks = [Task(item, out / FITS / item.id, programs) for item in items]
     mine = tasks[shard.number - 1 :: shard.of]
     try:
@@ -102,7 +100,8 @@ def run_batch(
     progress(Progress(done, len(mine), failed, f"{done} of an earlier run" if done else ""))
     performed = _performed(todo, workers, scheduler)
     try:
-        for task, record in performed:
+        for task, outcome in performed:
+            record = _crashed(task) if isinstance(outcome, Crash) else outcome
             known[task.item.id] = record
             done, failed = done + 1, failed + (not record["converged"])
             progress(Progress(done, len(mine), failed, f"{task.item.id}: {record['status']}"))
@@ -121,18 +120,16 @@ def run_batch(
 
 def _performed(
     todo: Sequence[Task], workers: int | None, scheduler: str | None
-) -> Generator[tuple[Task, dict[str, Any]]]:
+) -> Generator[tuple[Task, dict[str, Any] | Crash]]:
     """Every task with its record, as they come."""
     if not todo:
         return
-    if scheduler is not None:
-        with connected(scheduler, workers) as client:
-            for task, record in as_finished(client, perform, todo):
-                yield task, _crashed(task) if isinstance(record, Crash) else record
+    if scheduler is None:
+        count = min(workers or cores(), len(todo))
+        yield from zip(todo, in_order(perform, todo, count), strict=True)
         return
-    count = min(workers or cores(), len(todo))
-    for task, record in zip(todo, in_order(perform, todo, count), strict=True):
-        yield task, _crashed(task) if isinstance(record, Crash) else record
+    with connected(scheduler, workers) as client:
+        yield from as_finished(client, perform, todo)
 
 
 def _crashed(task: Task) -> dict[str, Any]:

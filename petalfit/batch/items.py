@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
 from petalfit import __version__  # pyright: ignore[reportAttributeAccessIssue] - not a lazy one
-from petalfit.components import models
+from petalfit.components import model_named
 from petalfit.observations import (
     IMAGE_SUFFIXES,
     SUFFIXES,
@@ -19,12 +19,13 @@ from petalfit.observations import (
     Silhouette,
     TargetError,
     read_cameras,
+    read_target,
 )
 
 # Columns of a manifest beside the target's, each of which may be empty.
 COLUMNS = ("id", "camera", "model", "pose", "loss", "noise", "free", "seed")
 # Several files in one cell are fitted together.
-_BETWEEN = ";"
+BETWEEN = ";"
 
 
 class Item(NamedTuple):
@@ -60,25 +61,17 @@ class Item(NamedTuple):
 
     def read(self) -> list[PointCloud | Silhouette]:
         """What was seen."""
-        cameras = iter(self.cameras)
-        return [
-            Silhouette.load(path, _camera(next(cameras, None)))
-            if path.suffix.lower() in IMAGE_SUFFIXES
-            else PointCloud.load(path)
-            for path in self.targets
-        ]
+        masks = [path for path in self.targets if path.suffix.lower() in IMAGE_SUFFIXES]
+        cameras = dict(zip(masks, map(_camera, self.cameras), strict=False))
+        return [read_target(path, cameras.get(path)) for path in self.targets]
 
     def arguments(self) -> dict[str, Any]:
         """The options as `fit` takes them."""
-        found = dict(self.options)
-        name = found.pop("model")
-        found["model"] = "auto" if name == "auto" else models()[name]
-        return found
+        name = self.options["model"]
+        return {**self.options, "model": "auto" if name == "auto" else model_named(name)}
 
 
-def _camera(path: Path | None) -> Camera | None:
-    if path is None:
-        return None
+def _camera(path: Path) -> Camera:
     camera = read_cameras(path)
     if not isinstance(camera, Camera):
         raise TargetError(f"{path} has several cameras; a batch takes a file for each.")
@@ -151,7 +144,7 @@ def _item(cells: Mapping[str, str], folder: Path, options: Mapping[str, Any]) ->
     if "target" not in cells:
         raise TargetError("there is no target in this row.")
     targets = _paths(cells["target"], folder)
-    name = cells.get("id", cells["target"]).replace("\\", "/").replace(_BETWEEN, "+")
+    name = cells.get("id", cells["target"]).replace("\\", "/").replace(BETWEEN, "+")
     parts = PurePosixPath(name).parts
     if name.startswith("/") or ".." in parts or not parts:
         name = PurePosixPath(*(part for part in parts if part not in ("/", ".."))).as_posix()
@@ -161,14 +154,12 @@ def _item(cells: Mapping[str, str], folder: Path, options: Mapping[str, Any]) ->
     if "seed" in cells:
         own["seed"] = int(cells["seed"])
     if "free" in cells:
-        own["free"] = cells["free"].replace(",", " ").replace(_BETWEEN, " ").split()
+        own["free"] = cells["free"].replace(",", " ").replace(BETWEEN, " ").split()
     merged = {**options, **own}
-    if merged["model"] != "auto" and merged["model"] not in models():
-        raise TargetError(
-            f"there is no model {merged['model']!r}; the models are auto, {', '.join(models())}."
-        )
+    if merged["model"] != "auto":
+        model_named(merged["model"])
     return Item(name, targets, _paths(cells.get("camera", ""), folder), merged)
 
 
 def _paths(text: str, folder: Path) -> tuple[Path, ...]:
-    return tuple(folder / part.strip() for part in text.split(_BETWEEN) if part.strip())
+    return tuple(folder / part.strip() for part in text.split(BETWEEN) if part.strip())

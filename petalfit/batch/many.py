@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import functools
 import os
 from collections.abc import Callable, Collection, Iterable, Iterator, Sized
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, overload
 
@@ -14,8 +12,8 @@ import numpy as np
 
 from petalfit.batch.failure import FitFailure
 from petalfit.batch.processes import Crash, cores, in_order
-from petalfit.compilation import ExecutableStore, current_store, use_store
-from petalfit.compilation.cache import usable_folder
+from petalfit.compilation import use_folder
+from petalfit.compilation.cache import folder_in_common
 from petalfit.components import PeonyPetal
 from petalfit.fitting import FitResult, check_request, fit
 from petalfit.observations import Camera, PointCloud, Silhouette, TargetError
@@ -82,18 +80,13 @@ def fit_batch(  # pyright: ignore[reportInconsistentOverload]
         raise TargetError("fit_batch takes many targets; give a list of them, or call fit_petal.")
     if workers is not None and workers < 1:
         raise TargetError(f"workers={workers} can fit nothing; give 1 or more.")
-    options = {
-        "pose": pose,
-        "camera": camera,
-        "free": None if free is None else [*free],
-        "init": init,
-        "noise": noise,
-        "loss": loss,
-        "seed": seed,
-    }
-    check_request(model, pose=pose, loss=loss, free=free, init=init, noise=noise)
+    # All that several fits may read more than once; a single name is one.
+    names = free if free is None or isinstance(free, str) else tuple(free)
+    request = {"pose": pose, "loss": loss, "free": names, "init": init, "noise": noise}
+    check_request(model, **request)
+    options = {"model": model, "camera": camera, "seed": seed, **request}
     total = len(targets) if isinstance(targets, Sized) else None
-    outcomes = _outcomes(targets, total, {"model": model, **options}, workers, progress)
+    outcomes = _outcomes(targets, total, options, workers, progress)
     return outcomes if total is None else [*outcomes]
 
 
@@ -110,8 +103,7 @@ def _outcomes(
     if count == 1 or jax.default_backend() != "cpu":
         outcomes = map(_fit_one, (_Job(target, options, None) for target in targets))
     else:
-        store = current_store()
-        folder = usable_folder() if store is None else store.folder
+        folder = folder_in_common()
         jobs = (_Job(target, options, folder) for target in targets)
         outcomes = in_order(_fit_one, jobs, count)
     failed = 0
@@ -136,13 +128,7 @@ class _Job(NamedTuple):
 def _fit_one(job: _Job) -> FitResult | FitFailure:
     """A fit that raises nothing, in whatever process."""
     try:
-        with nullcontext() if job.folder is None else use_store(store_at(job.folder)):
+        with use_folder(job.folder):
             return fit(target=job.target, throw=False, **job.options)
     except Exception as error:
         return FitFailure.of(error)
-
-
-@functools.cache
-def store_at(folder: Path) -> ExecutableStore:
-    """One for the life of a process: what it has loaded stays."""
-    return ExecutableStore(folder)

@@ -7,7 +7,6 @@ import errno
 import json
 import os
 import time
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,11 +14,10 @@ import numpy as np
 
 from petalfit import __version__  # pyright: ignore[reportAttributeAccessIssue] - not a lazy one
 from petalfit.batch.failure import FitFailure
-from petalfit.batch.items import Item
-from petalfit.batch.many import store_at
-from petalfit.compilation import use_store
+from petalfit.batch.items import BETWEEN, Item
+from petalfit.compilation import use_folder
 from petalfit.fitting import FitResult, fit
-from petalfit.observations import PointCloud, TargetError
+from petalfit.observations import TargetError
 from petalfit.observations.atomic import atomic_path
 
 FIT = "fit.json"
@@ -73,7 +71,7 @@ def perform(task: Task) -> dict[str, Any]:
     began, digest, result = time.perf_counter(), "", None
     try:
         digest = task.item.digest()
-        with nullcontext() if task.programs is None else use_store(store_at(task.programs)):
+        with use_folder(task.programs):
             found = fit(target=task.item.read(), throw=False, **task.item.arguments())
         assert isinstance(found, FitResult), "patterns are not among the models"
         result = found
@@ -105,7 +103,7 @@ def _record(
 ) -> dict[str, Any]:
     record: dict[str, Any] = {
         "id": item.id,
-        "target": ";".join(map(os.fspath, item.targets)),
+        "target": BETWEEN.join(map(os.fspath, item.targets)),
         "status": result.status,
         "converged": result.converged,
         "message": result.message,
@@ -118,13 +116,12 @@ def _record(
     if isinstance(result, FitFailure):
         return record
     first = result.agreements[0]
-    size = len(first.target) if isinstance(first.target, PointCloud) else first.distances.size
     identifiable = {name: result.identifiable.get(name) for name in result.values}
     return record | {
         "model": type(result.model).__name__,
         "warnings": [*result.warnings],
         "timings": result.timings,
-        "data": int(size),
+        "data": int(first.distances.size),
         "strays": first.strays,
         "rms": first.rms,
         "noise": first.noise,

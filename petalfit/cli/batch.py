@@ -83,12 +83,14 @@ def batch(
     )
     require(source.exists(), f"{source} does not exist; give a folder or a .csv manifest.")
     number, count = _shard(shard)
-    from petalfit.cli.parameters import component
+    from petalfit.batch.folder import Shard, run_batch
+    from petalfit.batch.items import items_of
     from petalfit.cli.results import check_folder
+    from petalfit.components import model_named
 
     check_folder(out)
     if model != "auto":
-        component(model)
+        model_named(model)
     options: dict[str, Any] = {
         "model": model,
         "pose": pose,
@@ -97,9 +99,6 @@ def batch(
         "seed": seed,
         "free": names_of(free),
     }
-    from petalfit.batch.folder import Shard, run_batch
-    from petalfit.batch.items import items_of
-
     items = items_of(source, options)
     began = time.monotonic()
     latest: list[Progress] = []

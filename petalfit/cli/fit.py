@@ -113,12 +113,12 @@ def fit(
     require_seed(seed)
     require(bool(targets), "there is no TARGET; give the file of a cloud, a mesh or a mask.")
     from petalfit.cli.console import fit_table, list_files, output, progress, summarise, warn
-    from petalfit.cli.parameters import component
     from petalfit.cli.results import CONTENTS, check_folder, write_results, written_whole
     from petalfit.compilation.cache import compilation_cache
+    from petalfit.components import model_named
 
     check_folder(out)
-    kind = "auto" if model == "auto" else component(model)
+    kind = "auto" if model == "auto" else model_named(model)
     with progress(quiet) as show:
         show(f"reading {', '.join(map(str, targets))}")
         read = _read(targets, cameras)
@@ -157,17 +157,14 @@ def fit(
 
 def _read(targets: tuple[Path, ...], cameras: tuple[Path, ...]) -> "list[PointCloud | Silhouette]":
     """Every file as what it holds, masks with their cameras."""
-    from petalfit.observations import IMAGE_SUFFIXES, PointCloud, Silhouette
+    from petalfit.observations import IMAGE_SUFFIXES, read_target
 
     masks = [path for path in targets if path.suffix.lower() in IMAGE_SUFFIXES]
     require(
         bool(masks) or not cameras, "--camera is for masks, and there is none among the targets."
     )
     seen = dict(zip(masks, _cameras(masks, cameras), strict=True))
-    return [
-        Silhouette.load(path, seen[path]) if path in seen else PointCloud.load(path)
-        for path in targets
-    ]
+    return [read_target(path, seen.get(path)) for path in targets]
 
 
 def _cameras(masks: list[Path], files: tuple[Path, ...]) -> "list[Camera | None]":

@@ -1,24 +1,12 @@
 """`petalfit parameters`: what there is to fit."""
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from petalfit.cli.status import SUCCESS, require
-
-if TYPE_CHECKING:
-    from petalfit.surfaces import AbstractSurface
+from petalfit.cli.status import SUCCESS
 
 Model = Annotated[Positional[str], arg(metavar="MODEL", help="Name of a component.")]
-
-
-def component(name: str) -> "type[AbstractSurface]":
-    """The component of that name, or a sentence with all there are."""
-    from petalfit.components import models
-
-    kinds = models()
-    require(name in kinds, f"there is no model {name!r}; the models are {', '.join(kinds)}.")
-    return kinds[name]
 
 
 def parameters(model: Model = "PeonyPetal") -> int:
@@ -27,10 +15,11 @@ def parameters(model: Model = "PeonyPetal") -> int:
     from rich.table import Table
 
     from petalfit.cli.console import output
+    from petalfit.components import model_named
     from petalfit.components import parameters as declared
     from petalfit.surfaces import value_at
 
-    kind = component(model)
+    kind = model_named(model)
     one = kind()
     table = Table(box=box.SIMPLE_HEAD, header_style="bold", pad_edge=False, padding=(0, 1, 0, 0))
     for heading in ("name", "symbol", "unit"):

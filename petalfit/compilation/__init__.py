@@ -7,5 +7,5 @@ from petalfit.compilation.stopwatch import Stopwatch as Stopwatch
 from petalfit.compilation.stopwatch import stage as stage
 from petalfit.compilation.stopwatch import watched as watched
 from petalfit.compilation.store import ExecutableStore as ExecutableStore
-from petalfit.compilation.store import current_store as current_store
+from petalfit.compilation.store import use_folder as use_folder
 from petalfit.compilation.store import use_store as use_store

@@ -28,7 +28,7 @@ def compilation_cache() -> Iterator[bool]:
     """
     from petalfit.compilation import ExecutableStore, use_store
 
-    folder = usable_folder()
+    folder = _usable_folder()
     if folder is None:
         yield False
         return
@@ -36,7 +36,15 @@ def compilation_cache() -> Iterator[bool]:
         yield any(folder.iterdir())
 
 
-def usable_folder() -> Path | None:
+def folder_in_common() -> Path | None:
+    """Where other processes find the programs of this one: its store, or the cache; None for nowhere."""
+    from petalfit.compilation.store import current_store
+
+    store = current_store()
+    return _usable_folder() if store is None else store.folder
+
+
+def _usable_folder() -> Path | None:
     """The folder for this processor, made if need be; None for no cache."""
     root = os.environ.get(VARIABLE)
     if root == "":

@@ -9,7 +9,7 @@ import os
 import pickle
 import platform
 from collections.abc import Callable, Hashable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -122,6 +122,17 @@ def use_store(store: ExecutableStore | None) -> Iterator[None]:
         yield
     finally:
         _current.reset(token)
+
+
+@functools.cache
+def _store_at(folder: Path) -> ExecutableStore:
+    """One for the life of a process: what it has loaded stays."""
+    return ExecutableStore(folder)
+
+
+def use_folder(folder: Path | None) -> AbstractContextManager[None]:
+    """While the block runs, programs come from a folder and go there; as before if there is none."""
+    return nullcontext() if folder is None else use_store(_store_at(folder))
 
 
 def _key(function: Callable, structure: Any, forms: tuple) -> str:

@@ -21,6 +21,7 @@ from petalfit.components.spline_petal import SplinePetal as SplinePetal
 from petalfit.components.stamen import Anther as Anther
 from petalfit.components.stamen import Filament as Filament
 from petalfit.components.stamen import Stamen as Stamen
+from petalfit.observations import TargetError as _TargetError
 from petalfit.surfaces import AbstractSurface as _AbstractSurface
 from petalfit.surfaces import Cylinder as Cylinder
 from petalfit.surfaces import Ellipsoid as Ellipsoid
@@ -40,3 +41,15 @@ def models() -> dict[str, type[_AbstractSurface]]:
         and not inspect.isabstract(kind)
         and kind is not Posed
     }
+
+
+def model_named(name: str) -> type[_AbstractSurface]:
+    """The component of that name.
+
+    Raises:
+        TargetError: There is none.
+    """
+    kinds = models()
+    if name not in kinds:
+        raise _TargetError(f"there is no model {name!r}; the models are {', '.join(kinds)}.")
+    return kinds[name]

@@ -5,19 +5,18 @@ from __future__ import annotations
 import base64
 import os
 import zlib
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from petalfit.observations import (
-    IMAGE_SUFFIXES,
     Camera,
     PointCloud,
     Silhouette,
     TargetError,
     as_point_cloud,
+    read_target,
 )
 
 
@@ -93,9 +92,7 @@ def _as_target(target: object, camera: Camera | None) -> PointCloud | Silhouette
             return Silhouette(target.mask, camera, target.weights)
         return target
     if isinstance(target, str | os.PathLike):
-        if Path(target).suffix.lower() in IMAGE_SUFFIXES:
-            return Silhouette.load(target, camera)
-        return as_point_cloud(target)
+        return read_target(target, camera)
     if isinstance(target, np.ndarray) and _looks_like_a_mask(target, camera):
         return Silhouette(target, camera)
     return as_point_cloud(target)

@@ -4,6 +4,7 @@ from petalfit.observations.camera import Camera as Camera
 from petalfit.observations.contour import Contour as Contour
 from petalfit.observations.contour import trace as trace
 from petalfit.observations.errors import TargetError as TargetError
+from petalfit.observations.files import read_target as read_target
 from petalfit.observations.images import IMAGE_SUFFIXES as IMAGE_SUFFIXES
 from petalfit.observations.point_cloud import PointCloud as PointCloud
 from petalfit.observations.point_cloud import as_point_cloud as as_point_cloud

@@ -85,5 +85,11 @@ def test_options_that_no_target_can_be_fitted_with(options, words):
         pf.fit_batch(CLOUDS, **options)
 
 
+@pytest.mark.parametrize("free", ["r_x", iter(["r_x"])], ids=["one name", "an iterator"])
+def test_free_is_whatever_fit_takes(free):
+    (result,) = pf.fit_batch(CLOUDS[:1], model=pf.Ellipsoid(1.0, 2.0, 3.0), free=free, workers=1)
+    assert result.names == ("r_x",)
+
+
 def test_nothing_to_fit():
     assert pf.fit_batch([]) == []
