@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -62,6 +62,7 @@ class Metric:
         return cls(name, share, "1", "more", tolerance, error, len(trials), note)
 
 
+T = TypeVar("T")
 Tell = Callable[[str], None]
 # A suite yields its metrics as they come; the numbers behind the plots go with them.
 Suite = Callable[[bool, Tell], Iterator["Metric | Curve"]]
@@ -90,15 +91,14 @@ class Curve:
     group: str = ""
 
 
-def seconds(function: Callable[[], object], repeats: int) -> list[float]:
-    """Wall times of repeated calls; one more comes first, and is discarded."""
-    function()
-    times = []
+def timed(function: Callable[[], T], repeats: int) -> tuple[float, T]:
+    """The median wall time of repeated calls, and what they give; a first one is discarded."""
+    result, times = function(), []
     for _ in range(repeats):
         began = time.perf_counter()
-        function()
+        result = function()
         times.append(time.perf_counter() - began)
-    return times
+    return float(np.median(times)), result
 
 
 def slope(x: Sequence[float], y: Sequence[float]) -> float:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -22,9 +23,13 @@ from benchmarks.peers.found import Found
 
 MESH = (129, 65)
 RATE = 0.02
+MOST_STEPS = 1000
 WINDOW = 10  # steps between two looks at the loss
 PATIENCE = 0.01  # relative fall of the loss between two windows that counts as progress
 HALVINGS = 5  # of the rate, then it has converged
+
+# The loss and its gradient at scaled parameters; a step's number, for what is random in it.
+Gradient: TypeAlias = Callable[[np.ndarray, int], tuple[float, np.ndarray]]
 
 
 class ProjectedPetal:
@@ -34,6 +39,7 @@ class ProjectedPetal:
     """
 
     def __init__(self, start: pf.PeonyPetal, camera: pf.Camera, free: tuple[str, ...]) -> None:
+        self.camera, self.free = camera, free
         declared = pf.parameters(pf.PeonyPetal)
         self.start = np.array([float(getattr(start, name)) for name in free])
         self.scale = np.array([0.5 * np.ptp(declared[name].typical) for name in free])
@@ -60,25 +66,35 @@ def grid_faces() -> np.ndarray:
     return np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)])
 
 
-def adam(
-    gradient: Callable[[np.ndarray, int], tuple[float, np.ndarray]],
-    petal: ProjectedPetal,
+def fit_mask(
+    gradient_of: Callable[[np.ndarray, ProjectedPetal], Gradient],
+    mask: np.ndarray,
+    camera: pf.Camera,
+    start: pf.PeonyPetal,
     free: tuple[str, ...],
-    steps_limit: int,
     seconds_limit: float,
-    rate: float = RATE,
 ) -> Found:
-    """Minimises from z = 0; `gradient(z, step)` gives the loss and its gradient."""
-    z = np.zeros(len(free))
+    """Fits the free parameters to a mask.
+
+    Args:
+        gradient_of: The peer's: the loss and its gradient at z, of a mask and a petal.
+        mask: (H, W), bool.
+        camera: Of the mask.
+        start: Where Adam starts; what is not free stays.
+        free: Names of the parameters to fit.
+        seconds_limit: Most seconds, without compilation.
+    """
+    petal = ProjectedPetal(start, camera, free)
+    gradient, z = gradient_of(mask, petal), np.zeros(len(free))
     gradient(z, 0)  # compiles
     first, second, tail, losses = np.zeros_like(z), np.zeros_like(z), [], []
     halvings, before, began = 0, np.inf, time.perf_counter()
-    for step in range(1, steps_limit + 1):
+    for step in range(1, MOST_STEPS + 1):
         loss, slope = gradient(z, step)
         first = 0.9 * first + 0.1 * slope
         second = 0.99 * second + 0.01 * slope**2
         corrected = first / (1 - 0.9**step), np.sqrt(second / (1 - 0.99**step))
-        z = z - rate * 0.5**halvings * corrected[0] / (corrected[1] + 1e-12)
+        z = z - RATE * 0.5**halvings * corrected[0] / (corrected[1] + 1e-12)
         tail = [*tail[1 - WINDOW :], z]
         losses.append(float(loss))
         if step % WINDOW == 0:

@@ -22,9 +22,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-import petalfit as pf
-from benchmarks.peers.descent import ProjectedPetal, adam, grid_faces
-from benchmarks.peers.found import Found
+from benchmarks.peers.descent import Gradient, ProjectedPetal, grid_faces
 
 try:
     NAME = f"Mitsuba {metadata.version('mitsuba')} + Adam"
@@ -55,36 +53,20 @@ def available() -> str | None:
     return None
 
 
-def fit_mask(
-    mask: np.ndarray,
-    camera: pf.Camera,
-    start: pf.PeonyPetal,
-    free: tuple[str, ...],
-    steps_limit: int = 1000,
-    seconds_limit: float = 300.0,
-) -> Found:
-    """Fits the free parameters to a mask.
-
-    Args:
-        mask: (H, W), bool.
-        camera: Of the mask.
-        start: Where Adam starts; what is not free stays.
-        free: Names of the parameters to fit.
-        steps_limit: Most gradient steps.
-        seconds_limit: Most seconds, without compilation.
+def gradient_of(mask: np.ndarray, petal: ProjectedPetal) -> Gradient:
+    """Of the mean squared difference between a mask and the rendered silhouette.
 
     Raises:
-        RuntimeError: It is not available.
+        RuntimeError: Mitsuba is not available.
     """
     if problem := available():
         raise RuntimeError(problem)
     import drjit as dr
     import mitsuba as mi
 
-    petal = ProjectedPetal(start, camera, free)
-    place = jax.jit(_placed(petal, camera))
+    place = jax.jit(_placed(petal))
     pull = jax.jit(lambda z, gradient: jax.vjp(place, z)[1](gradient)[0])
-    scene, params = _scene(mask.shape, np.asarray(place(np.zeros(len(free)))))
+    scene, params = _scene(mask.shape, np.asarray(place(np.zeros(len(petal.scale)))))
     target = mi.TensorXf(mask[..., None].astype(np.float32))
 
     def gradient(z: np.ndarray, step: int) -> tuple[float, np.ndarray]:
@@ -98,15 +80,15 @@ def fit_mask(
         slope = np.array(dr.grad(vertices)).reshape(-1, 3)
         return loss.numpy().item(), np.asarray(pull(z, slope), np.float64)
 
-    return adam(gradient, petal, free, steps_limit, seconds_limit)
+    return gradient
 
 
-def _placed(petal: ProjectedPetal, camera: pf.Camera) -> Any:
+def _placed(petal: ProjectedPetal) -> Any:
     """Vertices (n, 3) before a camera at the origin that looks along +z with focal length = width."""
     _, depth = petal.project(jnp.zeros(len(petal.scale)))
     middle = float(depth.mean())
     near = _RELIEF / float(jnp.abs(depth - middle).max())
-    height, width = camera.shape
+    height, width = petal.camera.shape
     middle_xy = jnp.array([0.5 * width, 0.5 * height])
 
     def place(z: jax.Array) -> jax.Array:

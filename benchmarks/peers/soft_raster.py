@@ -21,9 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-import petalfit as pf
-from benchmarks.peers.descent import ProjectedPetal, adam, grid_faces
-from benchmarks.peers.found import Found
+from benchmarks.peers.descent import Gradient, ProjectedPetal, grid_faces
 
 NAME = f"Soft rasteriser (JAX {metadata.version('jax')}) + Adam"
 SOFTNESS = 0.25  # pixels: a sigmoid with the slope 1 / pixel of a covered area
@@ -38,26 +36,9 @@ def available() -> str | None:
     return None
 
 
-def fit_mask(
-    mask: np.ndarray,
-    camera: pf.Camera,
-    start: pf.PeonyPetal,
-    free: tuple[str, ...],
-    steps_limit: int = 1000,
-    seconds_limit: float = 300.0,
-) -> Found:
-    """Fits the free parameters to a mask.
-
-    Args:
-        mask: (H, W), bool.
-        camera: Of the mask.
-        start: Where Adam starts; what is not free stays.
-        free: Names of the parameters to fit.
-        steps_limit: Most gradient steps.
-        seconds_limit: Most seconds, without compilation.
-    """
-    petal = ProjectedPetal(start, camera, free)
-    raster = soft_raster(mask.shape, np.asarray(petal.project(np.zeros(len(free)))[0]))
+def gradient_of(mask: np.ndarray, petal: ProjectedPetal) -> Gradient:
+    """Of the mean squared difference between a mask and the blurred silhouette."""
+    raster = soft_raster(mask.shape, np.asarray(petal.project(np.zeros(len(petal.scale)))[0]))
     target = jnp.asarray(mask, jnp.float32)
 
     def misfit(z: jax.Array) -> jax.Array:
@@ -69,7 +50,7 @@ def fit_mask(
         loss, slope = program(jnp.asarray(z, jnp.float32))
         return float(loss), np.asarray(slope, np.float64)
 
-    return adam(gradient, petal, free, steps_limit, seconds_limit)
+    return gradient
 
 
 def soft_raster(shape: tuple[int, int], start: np.ndarray) -> Callable[[jax.Array], jax.Array]:

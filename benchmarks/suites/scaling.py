@@ -8,10 +8,8 @@ import time
 from collections.abc import Iterator
 from contextlib import suppress
 
-import numpy as np
-
 import petalfit as pf
-from benchmarks.metric import Curve, Metric, Tell, slope
+from benchmarks.metric import Curve, Metric, Tell, slope, timed
 from benchmarks.targets import cloud_of, petal_of
 
 _BATCH_POINTS = 500
@@ -29,14 +27,9 @@ def _points(quick: bool, tell: Tell) -> Iterator[Metric | Curve]:
     for n in sizes:
         tell(f"{n} points")
         points = cloud_of(petal, n, 0)
-        pf.fit_petal(points, throw=False)
         repeats = 3 if n <= 10_000 else 1
-        each = []
-        for _ in range(repeats):
-            began = time.perf_counter()
-            pf.fit_petal(points, throw=False)
-            each.append(time.perf_counter() - began)
-        times.append(float(np.median(each)))
+        taken, _ = timed(lambda points=points: pf.fit_petal(points, throw=False), repeats)
+        times.append(taken)
         yield Metric(f"scaling.seconds_{n}_points", times[-1], "s", "less", count=repeats)
     # From where the points outweigh what every fit costs.
     yield Metric(

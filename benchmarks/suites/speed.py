@@ -12,8 +12,9 @@ import jax
 import numpy as np
 
 import petalfit as pf
-from benchmarks.metric import Metric, Tell, seconds
+from benchmarks.metric import Metric, Tell, timed
 from benchmarks.peers import mitsuba_masks, sampled_surface, soft_raster
+from benchmarks.peers.descent import fit_mask
 from benchmarks.peers.found import Found
 from benchmarks.targets import NAMES, SMOOTH, cloud_of, errors, mask_of, oblique, off, petal_of
 
@@ -46,9 +47,9 @@ def _clouds(petals: int, tell: Tell) -> Iterator[Metric]:
         petal = petal_of(4000 + seed)
         points = cloud_of(petal, _POINTS, seed)
         tell(f"cloud {seed + 1} of {petals}: petalfit")
-        times = seconds(lambda points=points: pf.fit_petal(points, throw=False), 5)
-        own.append(float(np.median(times)))
-        right["petalfit"].append(_is_right(pf.fit_petal(points, throw=False).values, petal))
+        taken, result = timed(lambda points=points: pf.fit_petal(points, throw=False), 5)
+        own.append(taken)
+        right["petalfit"].append(_is_right(result.values, petal))
         bare.append(_bare(petal, points))
         for name, fit in peers.items():
             tell(f"cloud {seed + 1} of {petals}: {name}")
@@ -91,9 +92,7 @@ def _bare(petal: pf.PeonyPetal, points: np.ndarray) -> float:
         model = programs.numbers(petal)
         uv = programs.refine(model, points, programs.nearest(model, points), 6)
         program = Program(evaluate)
-        return float(
-            np.median(seconds(lambda: jax.block_until_ready(program(model, points, uv)), 20))
-        )
+        return timed(lambda: jax.block_until_ready(program(model, points, uv)), 20)[0]
 
 
 def _masks(petals: int, tell: Tell) -> Iterator[Metric]:
@@ -108,11 +107,10 @@ def _masks(petals: int, tell: Tell) -> Iterator[Metric]:
         )
         mask = mask_of(petal, oblique(petal, seed))
         cases.append((petal, mask, off(petal, SMOOTH, seed)))
-        times = seconds(
+        taken, result = timed(
             lambda mask=mask: pf.fit_petal(mask, model=smooth, free=SMOOTH, throw=False), 3
         )
-        own.append(float(np.median(times)))
-        result = pf.fit_petal(mask, model=smooth, free=SMOOTH, throw=False)
+        own.append(taken)
         search.append(1 - result.timings["errors"] / sum(result.timings.values()))
         accuracy.append(max(errors(result.values, petal, ("a_x", "b_y")).values()))
     yield Metric.median("speed.mask_seconds", own, "s", "less", note="256 × 256 pixels, no start")
@@ -126,8 +124,8 @@ def _masks(petals: int, tell: Tell) -> Iterator[Metric]:
         ratios, alone, ends, converged = [], [], [], 0
         for k, (petal, mask, start) in enumerate(cases):
             tell(f"mask {k + 1} of {petals}: {peer.NAME}")
-            found = peer.fit_mask(
-                np.asarray(mask.mask, bool), mask.camera, start, SMOOTH, seconds_limit=_LONGEST
+            found = fit_mask(
+                peer.gradient_of, mask.mask > 0.5, mask.camera, start, SMOOTH, _LONGEST
             )
             ratios.append(found.seconds / own[k])
             alone.append(found.seconds / (own[k] * search[k]))

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from petalfit.compilation import stage
 from petalfit.components import PeonyPetal, Posed
@@ -17,7 +17,7 @@ from petalfit.fitting.coordinates import Coordinates, with_values
 from petalfit.fitting.determined import stay_at_the_start
 from petalfit.fitting.patches import Patches
 from petalfit.fitting.peony_pose import Placed, placed_petals
-from petalfit.fitting.peony_start import RIBS
+from petalfit.fitting.peony_start import RIBS, RibBasin, close
 from petalfit.fitting.robust import Cleared, Clutter, approach, clear
 from petalfit.fitting.rounds import (
     AbstractObserved,
@@ -39,8 +39,6 @@ from petalfit.surfaces import AbstractSurface, Pose, turn_between, value_at
 # with programs of a single size.
 START_POINTS = 1536
 _APPROACH_POINTS = 2048
-# Rivals of the best rib frequency are followed if the periodogram prefers it by less than this in χ².
-_CLEAR_LEAD = 50.0
 # Gain in χ² of ribs in what a right end leaves: by chance alone, the best of 200 frequencies has 10.
 _RIBS_LEFT = 20.0
 # Poses that are tried at first, and along the normal of the best of these; more in an unknown unit or
@@ -212,18 +210,22 @@ def _settled_poses(
     (term,) = near.polished.terms
     settled: list[Settled] = []
 
+    def labelled(basin: RibBasin) -> tuple[str, AbstractSurface]:
+        name, model = with_ribs(smooth, basin)
+        return f"{label}, {name}", model
+
     def starts() -> Iterator[tuple[str, AbstractSurface]]:
         if not set(RIBS) & set(names):
             yield f"{label}, smooth", smooth
             return
+        basins = ribs_beside(coordinates, smooth, near.cloud, term)
         # Among clutter a periodogram tells less: there all of them are followed.
-        lead = _CLEAR_LEAD if scan.clutter is None else np.inf
-        clear = [*rib_starts(coordinates, smooth, near.cloud, term, lead)]
-        rest = [*rib_starts(coordinates, smooth, near.cloud, term, np.inf)][len(clear) :]
-        yield from ((f"{label}, {name}", model) for name, model in clear)
+        first = close(basins) if scan.clutter is None else basins
+        yield from map(labelled, first)
+        rest = basins[len(first) :]
         # Beside a smooth petal that is not quite the right one, ribs may seem to have another frequency.
         if rest and _ribs_left(coordinates, scan, min(settled, key=lambda end: end.chi2)):
-            yield from ((f"{label}, {name}", model) for name, model in rest)
+            yield from map(labelled, rest)
 
     def settle(name: str, model: AbstractSurface, prior: Prior | None) -> Settled:
         settled.append(_settled(scan, coordinates, name, model, prior))
@@ -235,24 +237,9 @@ def _settled_poses(
 def _ribs_left(coordinates: Coordinates, scan: Scan, end: Settled) -> bool:
     """Whether other ribs would explain what an end leaves: then its own are the wrong ones."""
     (seen,) = end.seen
-    assert isinstance(end.model, Posed)
     assert seen.uv is not None
-    count = len(scan.points)
-    weights = np.asarray(seen.weights)[:count]
-    cloud = pad(scan.points, weights, seen.noise)
-    found = programs.survey(
-        coordinates.around(end.model), cloud, coordinates.inverse(end.model), seen.uv
-    )
-    place = end.model.placement
-    basins = peony_start.rib_periodogram(
-        None,
-        np.asarray(found.distance)[:count] / float(place.scale),
-        np.asarray(found.normal)[:count] @ np.asarray(place.rotation)[:, 2],
-        weights,
-        np.asarray(seen.uv)[:count],
-        np.asarray(found.slopes)[:count],
-    )
-    return basins[0].gain > _RIBS_LEFT
+    data = pad(scan.points, np.asarray(seen.weights)[: len(scan.points)], seen.noise)
+    return _explaining(coordinates.around(end.model), data, seen.uv)[0].gain > _RIBS_LEFT
 
 
 def _likelihood(near: Cleared) -> float:
@@ -396,41 +383,47 @@ def _starts(
         yield "the outline", with_values(smooth, {"rib_amplitude": template.rib_amplitude})
         return
     progress("searching the rib frequency")
-    yield from rib_starts(coordinates, smooth, ObservedCloud(data), polished.terms[0])
+    basins = ribs_beside(coordinates, smooth, ObservedCloud(data), polished.terms[0])
+    yield from (with_ribs(smooth, basin) for basin in close(basins))
 
 
-def rib_starts(
+def ribs_beside(
     coordinates: Coordinates[Surface],
     smooth: Surface,
     cloud: ObservedCloud,
     term: AbstractTerm | None = None,
-    lead: float = _CLEAR_LEAD,
-) -> Iterator[tuple[str, Surface]]:
-    """A petal without ribs, perhaps posed, with those that a cloud's distances to it speak for.
-
-    The best first, then those whose χ² is worse by less than `lead`.
-    """
+) -> list[RibBasin]:
+    """Ribs that a cloud's distances to a petal without any speak for, the best first."""
     held = coordinates.holding(RIBS).around(smooth)
-    data, uv = cloud.data, cloud.look(smooth, term).uv
-    seen = programs.survey(held, data, held.inverse(smooth), uv)
+    return _explaining(held, cloud.data, cloud.look(smooth, term).uv)
+
+
+def with_ribs(smooth: Surface, basin: RibBasin) -> tuple[str, Surface]:
+    """A petal without ribs with those of a basin, and a label for it."""
+    ribs = {"rib_frequency": basin.frequency, "rib_amplitude": basin.amplitude}
+    return f"rib_frequency {basin.frequency:.2f}", with_values(smooth, ribs)
+
+
+def _explaining(
+    coordinates: Coordinates, data: Data, uv: Float[Array | np.ndarray, "n 2"]
+) -> list[RibBasin]:
+    """Ribs that explain the distances of points to the coordinates' petal, which is free to follow."""
+    petal = coordinates.template
+    seen = programs.survey(coordinates, data, coordinates.inverse(petal), uv)
     fixed = "rib_frequency" not in coordinates.free
     # Ribs rise along the petal's own z axis.
     up, unit = np.array([0.0, 0.0, 1.0]), 1.0
-    if isinstance(smooth, Posed):
-        place = smooth.placement
+    if isinstance(petal, Posed):
+        place = petal.placement
         up, unit = np.asarray(place.rotation)[:, 2], float(place.scale)
-    basins = peony_start.rib_periodogram(
-        float(value_at(coordinates.template, "rib_frequency")) if fixed else None,
+    return peony_start.rib_periodogram(
+        float(value_at(petal, "rib_frequency")) if fixed else None,
         np.asarray(seen.distance) / unit,
         np.asarray(seen.normal) @ up,
         np.asarray(data.weights),
         np.asarray(uv),
-        np.asarray(seen.slopes)[:, held.active > 0],
+        np.asarray(seen.slopes)[:, coordinates.active > 0],
     )
-    for frequency, amplitude, gain in basins:
-        if basins[0].gain - gain <= lead:
-            ribs = {"rib_frequency": frequency, "rib_amplitude": amplitude}
-            yield f"rib_frequency {frequency:.2f}", with_values(smooth, ribs)
 
 
 def _smooth(coordinates: Coordinates[PeonyPetal], outline: PeonyPetal, data: Data) -> Polished:

@@ -147,65 +147,62 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
         TargetError: The target cannot be used, or the options do not fit the model.
         FitError: The solver failed, and `throw` is True.
     """
+    check_options(pose, loss)
+    sigma = valid_noise(noise)
+    tell = progress or (lambda text: None)
     with watched("starts") as watch:
-        result = _fitted(
-            model,
-            target,
-            pose=pose,
-            camera=camera,
-            free=free,
-            init=init,
-            noise=noise,
-            loss=loss,
-            seed=seed,
-            progress=progress or (lambda text: None),
-            surface=surface,
-            palette=palette,
-        )
+        if isinstance(model, str):
+            check_name(model, free, init)
+            options = {"pose": pose, "loss": loss, "noise": sigma, "seed": seed}
+            result = _fit_best(as_targets(target, camera), options, tell)
+        else:
+            template, names = configuration(model, free, init)
+            if isinstance(template, AbstractPattern):
+                if isinstance(sigma, np.ndarray):
+                    raise TargetError("the noise of a pattern is one number.")
+                result = fit_colours(
+                    template,
+                    names,
+                    _as_texture(target, surface, seed, progress),
+                    palette=None if palette is None else np.stack([from_hex(c) for c in palette]),
+                    noise=sigma,
+                    from_template=init is not None,
+                    seed=seed,
+                    progress=tell,
+                )
+            else:
+                result = _fit_component(
+                    template,
+                    names,
+                    as_targets(target, camera),
+                    pose=pose,
+                    loss=loss,
+                    noise=sigma,
+                    init=init,
+                    seed=seed,
+                    progress=tell,
+                )
     result = dataclasses.replace(result, timings=dict(watch.seconds))
     if throw and not result.converged:
         raise FitError(result.message, result)
     return result
 
 
-def _fitted(
-    model: Fittable | type[Fittable] | Literal["auto"],
-    target: object,
+def _fit_component(
+    template: AbstractSurface,
+    names: tuple[str, ...],
+    targets: list[PointCloud | Silhouette],
     *,
     pose: str,
     loss: str,
-    noise: float | Sequence[float] | Float[np.ndarray, " n"] | None,
+    noise: float | Float[np.ndarray, " n"] | None,
+    init: Fittable | None,
     seed: int,
     progress: Callable[[str], None],
-    camera: Camera | None = None,
-    free: Iterable[str] | None = None,
-    init: Fittable | None = None,
-    surface: type[AbstractSurface] | AbstractSurface | FitResult = PeonyPetal,
-    palette: tuple[str, str] | None = None,
-) -> FitResult | ColourFit:
-    """What `fit` returns, whether or not the solver failed."""
-    check_options(pose, loss)
-    sigma = valid_noise(noise)
-    if isinstance(model, str):
-        check_name(model, free, init)
-        options = {"pose": pose, "noise": sigma, "loss": loss, "seed": seed}
-        return _fit_best(as_targets(target, camera), options, progress)
-    template, names = configuration(model, free, init)
-    if isinstance(template, AbstractPattern):
-        if isinstance(sigma, np.ndarray):
-            raise TargetError("the noise of a pattern is one number.")
-        return fit_colours(
-            template,
-            names,
-            _as_texture(target, surface, seed, progress),
-            palette=None if palette is None else np.stack([from_hex(c) for c in palette]),
-            noise=sigma,
-            from_template=init is not None,
-            seed=seed,
-            progress=progress,
-        )
-    targets = [each_once(part) for part in as_targets(target, camera)]
-    targets, sigma = with_noise_of_points(targets, sigma)
+) -> FitResult:
+    """A component beside its targets, whether or not the solver failed."""
+    targets = [each_once(part) for part in targets]
+    targets, sigma = with_noise_of_points(targets, noise)
     check_pose(template, pose, targets, init)
     check_loss(template, loss, targets)
     if isinstance(template, SplinePetal):
@@ -241,7 +238,8 @@ def _fit_best(
             progress(f"{name}: {text}")
 
         try:
-            results.append(_fitted(family, targets[0], progress=tell, **options))
+            own = configuration(family, None, None)
+            results.append(_fit_component(*own, targets, init=None, progress=tell, **options))  # pyright: ignore[reportArgumentType]
         except TargetError as error:
             refusals.append(error)
     if not results:

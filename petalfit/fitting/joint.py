@@ -12,10 +12,10 @@ from petalfit.compilation import stage
 from petalfit.components import PeonyPetal, Posed, bare, parameters
 from petalfit.fitting import programs
 from petalfit.fitting.cloud import ObservedCloud, with_all_points
-from petalfit.fitting.cloud_fit import fit_cloud, rib_starts
+from petalfit.fitting.cloud_fit import fit_cloud, ribs_beside, with_ribs
 from petalfit.fitting.coordinates import Coordinates, with_values
 from petalfit.fitting.determined import DETERMINED, sizes, stay_at_the_start, typical_spread
-from petalfit.fitting.peony_start import FREQUENCIES, RIBS, RibBasin, rib_basins, rib_waves
+from petalfit.fitting.peony_start import FREQUENCIES, RIBS, RibBasin, close, rib_basins, rib_waves
 from petalfit.fitting.rounds import (
     AbstractObserved,
     Polished,
@@ -37,8 +37,6 @@ _RIGHT = 0.03
 _FOLLOWED = 3
 _ROUNDS = 20
 _TOLERANCE = 2e-2
-# Rivals of the best rib frequency are followed if the periodogram prefers it by less than this in χ².
-_CLEAR_LEAD = 50.0
 # How many scales are tried for a mask without a camera.
 _SCALES = 25
 # Coordinates closer than this are one outline.
@@ -205,14 +203,11 @@ def _from_outlines(joint: Joint) -> Iterator[Ended]:
         joint.progress("searching the rib frequency")
         for cloud in joint.clouds:
             assert isinstance(smooth, PeonyPetal)
-            for name, model in rib_starts(coordinates, smooth, cloud):
-                yield joint.follow(name, model)
+            for basin in close(ribs_beside(coordinates, smooth, cloud)):
+                yield joint.follow(*with_ribs(smooth, basin))
         basins, visible = _rib_basins(joint, held, smooth)
-        for basin in basins if visible else []:
-            if basins[0].gain - basin.gain <= _CLEAR_LEAD:
-                ribs = {"rib_frequency": basin.frequency, "rib_amplitude": basin.amplitude}
-                name = f"rib_frequency {basin.frequency:.2f}"
-                yield joint.follow(name, with_values(smooth, ribs))
+        for basin in close(basins) if visible else []:
+            yield joint.follow(*with_ribs(smooth, basin))
 
 
 def without_ribs(coordinates: Coordinates) -> Coordinates:

@@ -196,6 +196,15 @@ class RibBasin(NamedTuple):
     gain: float
 
 
+# Rivals of the best rib frequency are followed if the periodogram prefers it by less than this in χ².
+_CLEAR_LEAD = 50.0
+
+
+def close(basins: list[RibBasin]) -> list[RibBasin]:
+    """The best of them, which is the first, and its rivals."""
+    return [basin for basin in basins if basins[0].gain - basin.gain <= _CLEAR_LEAD]
+
+
 def rib_periodogram(
     frequency: float | None,
     distance: Float[np.ndarray, " n"],

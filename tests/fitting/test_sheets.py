@@ -182,7 +182,7 @@ def test_a_blade_that_is_turned_over_says_the_same():
         )
 
 
-@pytest.mark.skipif(not PETALS.exists(), reason="needs ../shared/data/petals")
+@pytest.mark.skipif(not PETALS.exists(), reason="third-party petals are not in the project")
 @pytest.mark.parametrize("name", ["lily0_tepal1", "tulip_rosaLjus_petal1"])
 def test_a_petal_that_nobody_generated(name):
     """Both ways below 0.7 % of the diagonal; measured on dense samples."""
@@ -275,7 +275,7 @@ def test_a_spline_follows_a_sheet_wherever_it_is(tmp_path):
         pf.fit_petal(points[:50], model=pf.SplinePetal)
 
 
-@pytest.mark.skipif(not PETALS.exists(), reason="needs ../shared/data/petals")
+@pytest.mark.skipif(not PETALS.exists(), reason="third-party petals are not in the project")
 def test_a_spline_follows_a_rolled_rose_petal():
     cloud = pf.PointCloud.load(PETALS / "rose1_petal13.ply", n=2000)
     result = pf.fit_petal(cloud, model=pf.SplinePetal, pose="similarity")

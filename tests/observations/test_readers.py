@@ -404,7 +404,7 @@ class TestFiles:
 
 
 class TestThirdPartyData:
-    @pytest.mark.skipif(not SCANS, reason="needs ../shared/data/scans")
+    @pytest.mark.skipif(not SCANS, reason="third-party scans are not in the project")
     def test_scans(self):
         for path in SCANS:
             cloud = PointCloud.load(path)
@@ -412,7 +412,7 @@ class TestThirdPartyData:
             assert cloud.normals is None
             np.testing.assert_array_equal(cloud.points, trimesh.load(path).vertices)
 
-    @pytest.mark.skipif(not MESHES, reason="needs ../shared/data/petals")
+    @pytest.mark.skipif(not MESHES, reason="third-party petals are not in the project")
     def test_petals(self):
         for path in MESHES:
             cloud = PointCloud.load(path, n=500)
