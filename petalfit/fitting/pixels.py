@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from petalfit.fitting import programs
 from petalfit.fitting.coordinates import Coordinates
-from petalfit.fitting.views import Match, View, padded, rows
+from petalfit.fitting.views import Match, Sought, View, padded, rows
 from petalfit.observations import Contour, trace
 from petalfit.surfaces import AbstractSurface, Outline, coverage, outline, outline_rings
 
@@ -61,7 +61,7 @@ class _Scorer(NamedTuple):
     Attributes:
         model: The surface.
         view: The target's.
-        seen: The model's outline.
+        sought: The model's outline.
         slopes: Derivatives of the outline's places along their normals by t, pixels, shape (n, p).
         noise: Of the contour's distances, in pixels.
         time: How many pixels count as one observation.
@@ -69,7 +69,7 @@ class _Scorer(NamedTuple):
 
     model: AbstractSurface
     view: View
-    seen: Outline
+    sought: Sought
     slopes: Float[np.ndarray, "n p"]
     noise: float
     time: float
@@ -81,7 +81,7 @@ class _Scorer(NamedTuple):
 
     def rows(self, match: Match) -> Float[np.ndarray, "n p"]:
         """Derivatives of a match's distances."""
-        facing = np.sum(match.normal * self.seen.normal[match.number], axis=-1)
+        facing = np.sum(match.normal * self.sought.seen.normal[match.number], axis=-1)
         return facing[:, None] * self.slopes[match.number]
 
     def score(self, match: Match) -> Float[np.ndarray, " p"]:
@@ -139,10 +139,13 @@ def _scorer(
 ) -> tuple[_Scorer, Match]:
     model = coordinates.model(t)
     seen = outline(model, view.contour.camera)
-    target = view.matched(seen)
+    sought = Sought.of(view, seen)
+    target = sought.match(view)
     slopes = _slopes(coordinates, t, view.contour, seen)
     noise = noise or view.noise(target)
-    return _Scorer(model, view, seen, slopes, noise, time or view.correlated(target, noise)), target
+    return _Scorer(
+        model, view, sought, slopes, noise, time or view.correlated(target, noise)
+    ), target
 
 
 def _slopes(coordinates: Coordinates, t: np.ndarray, contour: Contour, seen: Outline) -> np.ndarray:
@@ -171,7 +174,7 @@ def _pictures(scorer: _Scorer, shifts: np.ndarray) -> list[Match]:
             place, normal, length = contour.place, contour.normal, contour.length
         else:
             place = place + low - shift
-        matches.append(view.like(place, normal, length).matched(scorer.seen))
+        matches.append(scorer.sought.match(view.like(place, normal, length)))
     return matches
 
 

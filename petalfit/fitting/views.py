@@ -102,28 +102,7 @@ class View:
 
     def matched(self, seen: Outline) -> Match:
         """The same for an outline that is known."""
-        contour = self.contour
-        features = self.features(seen.place, seen.normal)
-        outlines = KDTree(features)
-        forth = np.asarray(outlines.query(self.tree.data)[1])
-        some = np.arange(len(features))[:: len(features) // _BACK]
-        _, back = self.tree.query(features[some])
-        share = len(features) / len(some)
-        # What is thinner than a pixel leaves no trace in a mask: there is nothing to look for.
-        place, normal = seen.place[some], seen.normal[some]
-        _, across = outlines.query(self.features(place, -normal))
-        width = np.linalg.norm(seen.place[across] - place, axis=-1)
-        thin = (width < _THIN) & (np.sum(seen.normal[across] * normal, axis=-1) < 0)
-        trust = np.where(thin, 0.0, contour.trust(place))
-        return Match(
-            np.concatenate([seen.uv[forth], seen.uv[some]]),
-            np.concatenate([seen.place[forth], place]),
-            np.concatenate([seen.normal[forth], contour.normal[back]]),
-            np.concatenate([contour.place, contour.place[back]]),
-            np.concatenate([contour.length, share * seen.length[some] * trust]),
-            np.arange(len(forth) + len(some)) < len(forth),
-            np.concatenate([forth, some]),
-        )
+        return Sought.of(self, seen).match(self)
 
     def like(self, place: np.ndarray, normal: np.ndarray, length: np.ndarray) -> View:
         """A view that has another contour and the same camera, trust and sizes."""
@@ -154,6 +133,51 @@ class View:
     def calm(self, match: Match, noise: float) -> Float[np.ndarray, " n"]:
         """Weights of a heavy-tailed (Cauchy) distribution: what a wrong match has to say is little."""
         return 1 / (1 + (match.distance / max(3 * noise, self.kernel)) ** 2)
+
+
+@dataclasses.dataclass(frozen=True)
+class Sought:
+    """An outline, ready to be matched with contours of one size.
+
+    Attributes:
+        seen: The outline.
+        tree: Of its places and normals.
+        some: Which places look for the contour.
+        thin: Which of these lie where the model is thinner than a pixel, which leaves no trace in a mask:
+            there is nothing to look for.
+    """
+
+    seen: Outline
+    tree: KDTree
+    some: Int[np.ndarray, " n"]
+    thin: Bool[np.ndarray, " n"]
+
+    @classmethod
+    def of(cls, view: View, seen: Outline) -> Sought:
+        tree = KDTree(view.features(seen.place, seen.normal))
+        some = np.arange(len(seen.place))[:: len(seen.place) // _BACK]
+        place, normal = seen.place[some], seen.normal[some]
+        _, across = tree.query(view.features(place, -normal))
+        width = np.linalg.norm(seen.place[across] - place, axis=-1)
+        thin = (width < _THIN) & (np.sum(seen.normal[across] * normal, axis=-1) < 0)
+        return cls(seen, tree, some, thin)
+
+    def match(self, view: View) -> Match:
+        """Nearest places of the outline and a view's contour, in both directions."""
+        seen, some, contour = self.seen, self.some, view.contour
+        forth = np.asarray(self.tree.query(view.tree.data)[1])
+        _, back = view.tree.query(self.tree.data[some])
+        share = len(seen.place) / len(some)
+        trust = np.where(self.thin, 0.0, contour.trust(seen.place[some]))
+        return Match(
+            np.concatenate([seen.uv[forth], seen.uv[some]]),
+            np.concatenate([seen.place[forth], seen.place[some]]),
+            np.concatenate([seen.normal[forth], contour.normal[back]]),
+            np.concatenate([contour.place, contour.place[back]]),
+            np.concatenate([contour.length, share * seen.length[some] * trust]),
+            np.arange(len(forth) + len(some)) < len(forth),
+            np.concatenate([forth, some]),
+        )
 
 
 @dataclasses.dataclass(frozen=True)

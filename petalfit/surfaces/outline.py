@@ -91,11 +91,10 @@ def outline(
     share = 1.0 - (run[which] - along) / length[which]
     uv = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
     start, end = uv[edges.start[which]], uv[edges.end[which]]
+    folds = np.asarray(np.count_nonzero(edges.sheets[which] == 2))
+    uv = start + share[:, None] * (end - start)
     uv, place, found = (
-        np.asarray(x)
-        for x in _places(
-            surface, camera.matrix, start + share[:, None] * (end - start), edges.along[which]
-        )
+        np.asarray(x) for x in _places(surface, camera.matrix, uv, edges.along[which], folds)
     )
     sense = np.sum(found * normal[which], axis=-1)
     return Outline(
@@ -109,7 +108,7 @@ def outline(
 def rims_and_folds(grid: Float[np.ndarray, "n m 2"]) -> Edges:
     """The edges of a projected grid that have one triangle, or two that are seen from different sides.
 
-    Every cell is cut along its diagonal from the vertex (i, j) to (i + 1, j + 1).
+    Folds come first. Every cell is cut along its diagonal from the vertex (i, j) to (i + 1, j + 1).
     """
     number = np.arange(grid.shape[0] * grid.shape[1]).reshape(grid.shape[:2])
     a, b, c = (x - grid[:-1, :-1] for x in (grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]))
@@ -175,10 +174,10 @@ def _outline_places(
     matrix: Float[Array, "3 4"],
     uv: Float[Array, "n 2"],
     along: Float[Array, "n 2"],
+    folds: Int[Array, ""],
 ) -> tuple[Float[Array, "n 2"], Float[Array, "n 2"], Float[Array, "n 2"]]:
-    """Starts on folds moved onto them; places in the image, and normals of either sign."""
+    """The first places moved onto folds nearby; where all are seen, and normals of either sign."""
     low, high = (jnp.asarray(side, uv.dtype) for side in zip(*surface.domain, strict=True))
-    on_fold: Bool[Array, "n 1"] = jnp.all(along == 0, axis=-1, keepdims=True)
 
     def facing(uv: Array) -> Array:
         _, tangents = image_and_tangents(surface, matrix, uv)
@@ -191,9 +190,16 @@ def _outline_places(
         value, slope = jax.vmap(by, out_axes=(None, 1))(jnp.eye(2, dtype=uv.dtype))
         step = -value[:, None] * slope / (jnp.sum(slope**2, axis=-1, keepdims=True) + 1e-300)
         step = jnp.clip(step, -_LEAP * (high - low), _LEAP * (high - low))
-        return jnp.where(on_fold, jnp.clip(uv + step, low, high), uv)
+        return jnp.clip(uv + step, low, high)
 
-    uv = jax.lax.fori_loop(0, 3, newton, uv)
+    def moved(k: Array, uv: Array) -> Array:
+        some = jax.lax.dynamic_slice_in_dim(uv, k * _CHUNK, _CHUNK)
+        some = jax.lax.fori_loop(0, 3, newton, some)
+        return jax.lax.dynamic_update_slice_in_dim(uv, some, k * _CHUNK, 0)
+
+    on_fold: Bool[Array, "n 1"] = jnp.all(along == 0, axis=-1, keepdims=True)
+    near = jax.lax.fori_loop(0, (folds + _CHUNK - 1) // _CHUNK, moved, uv)
+    uv = jnp.where(on_fold, near, uv)
     place, tangents = image_and_tangents(surface, matrix, uv)
     # On a fold both tangents are seen along it: the longer one tells the direction best.
     squares = jnp.sum(tangents**2, axis=-1)
@@ -204,5 +210,6 @@ def _outline_places(
     return uv, place, jnp.stack([tangent[:, 1], -tangent[:, 0]], axis=-1)
 
 
+_CHUNK = 64  # places, of which PLACES is a multiple
 _LEAP = 0.02  # of the domain, the most that a fold is away from the mesh's
 _places = Program(_outline_places)
