@@ -7,6 +7,8 @@ import importlib
 from benchmarks.metric import Suite
 
 NAMES = ("startup", "recovery", "silhouette", "robustness", "real", "speed", "scaling")
+# These measure no time that is compared: a quick run lets two of them run at once.
+UNTIMED = ("recovery", "silhouette", "robustness", "real")
 
 
 def suite(name: str) -> Suite:
