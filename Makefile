@@ -27,6 +27,10 @@ help:  ## this list
 demo: $(READY)  ## make a noisy petal, fit it, and say where the pictures are
 	$(BIN)/petalfit demo
 
+.PHONY: studio
+studio: $(READY)  ## fit petals of your own in the browser
+	$(BIN)/petalfit studio
+
 .PHONY: test
 test: lint  ## lint, then every test that is not slow
 	$(BIN)/pytest --numprocesses auto --maxprocesses 4 --dist loadfile

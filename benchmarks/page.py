@@ -22,6 +22,7 @@ _TITLES = {
     "real": "Petals that nobody generated",
     "speed": "Speed, and other tools",
     "scaling": "Many points, many targets",
+    "studio": "The studio in a browser",
 }
 _PACKAGES = (
     "petalfit",
@@ -33,6 +34,7 @@ _PACKAGES = (
     "scipy",
     "lmfit",
     "mitsuba",
+    "viser",
 )
 
 

@@ -16,7 +16,8 @@ ROWS = (
     {"fitting"},
     {"batch", "flowers", "synthetic"},
     {"export"},
-    {"report", "studio"},
+    {"report"},
+    {"studio"},
     {"cli"},
 )
 ROW = {folder: row for row, folders in enumerate(ROWS) for folder in folders}

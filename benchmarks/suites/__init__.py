@@ -6,7 +6,7 @@ import importlib
 
 from benchmarks.metric import Suite
 
-NAMES = ("startup", "recovery", "silhouette", "robustness", "real", "speed", "scaling")
+NAMES = ("startup", "recovery", "silhouette", "robustness", "real", "speed", "scaling", "studio")
 # These measure no time that is compared: a quick run lets two of them run at once.
 UNTIMED = ("recovery", "silhouette", "robustness", "real")
 

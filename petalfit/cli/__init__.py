@@ -70,6 +70,7 @@ def _run(arguments: list[str]) -> int:
     from petalfit.cli.grow import grow
     from petalfit.cli.mask import mask
     from petalfit.cli.parameters import parameters
+    from petalfit.cli.studio import studio
     from petalfit.cli.synth import synth
 
     return tyro.extras.subcommand_cli_from_dict(
@@ -77,6 +78,7 @@ def _run(arguments: list[str]) -> int:
             "demo": demo,
             "fit": fit,
             "batch": batch,
+            "studio": studio,
             "grow": grow,
             "mask": mask,
             "synth": synth,

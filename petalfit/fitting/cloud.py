@@ -159,6 +159,22 @@ def feet(model: AbstractSurface, points: Float[Array, "n 3"]) -> Float[Array, "n
     return peony_start.straight_below(model, points)
 
 
+def beside(
+    surface: AbstractSurface, points: Float[np.ndarray, "n 3"]
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, "n 2"]]:
+    """Signed normal distances of points, distances beyond the edge, negative inside, and foot points.
+
+    Call it inside `jax.enable_x64(True)`.
+    """
+    padded = jnp.asarray(pad_to(points, bucket(len(points))))
+    uv = programs.refine(surface, padded, feet(surface, padded), 3)
+    here = programs.frames(surface, uv)
+    distance = np.asarray(here.distance(padded))
+    beyond = np.max(np.asarray(here.beyond(padded)), axis=-1)
+    n = len(points)
+    return distance[:n], beyond[:n], np.asarray(uv)[:n]
+
+
 def with_all_points(
     coordinates: Coordinates, end: Settled, number: int, cloud: PointCloud
 ) -> Settled:

@@ -11,7 +11,13 @@ from petalfit.compilation import Program
 from petalfit.fitting import solve as _solve
 from petalfit.fitting import survey as _survey
 from petalfit.fitting.coordinates import Coordinates, Numbers
-from petalfit.residuals import ContourDistance, nearest_nodes, pull_back, refine_foot_points
+from petalfit.residuals import (
+    ContourDistance,
+    frame,
+    nearest_nodes,
+    pull_back,
+    refine_foot_points,
+)
 from petalfit.surfaces import AbstractSurface
 
 
@@ -59,6 +65,7 @@ def _contour_covectors(model: AbstractSurface, term: ContourDistance) -> Float[A
 contour_covectors = Program(_contour_covectors)
 contour_slopes = Program(_contour_slopes)
 positions = Program(_positions)
+frames = Program(frame)
 nearest = Program(nearest_nodes)
 _refine = Program(refine_foot_points)
 survey = Program(_survey.survey)

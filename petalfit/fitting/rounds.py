@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from petalfit.fitting import programs
 from petalfit.fitting.coordinates import Coordinates, Model, with_values
+from petalfit.fitting.live import show
 from petalfit.fitting.solve import Prior
 from petalfit.residuals import AbstractTerm
 from petalfit.surfaces import AbstractSurface
@@ -185,6 +186,7 @@ def minimise(
         t = t + step
         rounds += int(state.rounds)
         model = coordinates.model(t)
+        show(model, terms)
         if not moved > tolerance or rounds >= max_rounds:
             return Polished(model, tuple(terms), rounds, moved)
 

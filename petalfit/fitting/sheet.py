@@ -22,6 +22,7 @@ from petalfit.fitting.blade_start import BladeStart, blade_starts
 from petalfit.fitting.canonical import Canonical
 from petalfit.fitting.cloud import ObservedCloud, pad, with_all_points
 from petalfit.fitting.coordinates import Coordinates, with_values
+from petalfit.fitting.live import show
 from petalfit.fitting.patches import Patches, cells
 from petalfit.fitting.rounds import (
     AbstractObserved,
@@ -206,6 +207,7 @@ class Sheet:
                 moved = float(np.sqrt(2 * abs(gain)))
                 free, here, held = held < _FREE, there, max(held / 5, 1e-5)
                 best = min(best, here, key=lambda place: place.cost)
+                show(coordinates.model(here.t), [here.cloud])
                 if moved < tolerance and free:
                     break
             elif held < _STUCK:

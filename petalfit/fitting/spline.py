@@ -6,24 +6,24 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 from scipy.spatial import KDTree
 
-from petalfit.compilation import Program, bucket, pad_to
+from petalfit.compilation import bucket, pad_to
 from petalfit.components import SplinePetal
 from petalfit.components.spline_petal import SEGMENTS, basis
 from petalfit.fitting import programs
 from petalfit.fitting.canonical import Canonical
-from petalfit.fitting.cloud import off
+from petalfit.fitting.cloud import ObservedCloud, beside, feet, off, pad
 from petalfit.fitting.flatten import flatten
+from petalfit.fitting.live import show
 from petalfit.fitting.patches import areas_around
 from petalfit.fitting.robust import Clutter
 from petalfit.fitting.rounds import Progress
 from petalfit.fitting.scan import Scan
 from petalfit.fitting.sheet import spacing
-from petalfit.residuals import frame
-from petalfit.residuals.contact import Frame
-from petalfit.surfaces import AbstractSurface, Pose
+from petalfit.residuals import TangentDistance
+from petalfit.surfaces import Pose
 
 _SHAPE = (SEGMENTS[0] + 3, SEGMENTS[1] + 3)
 _COUNT = _SHAPE[0] * _SHAPE[1]
@@ -99,19 +99,20 @@ def fit_spline(
             members = _members(control, own, mass, scan.clutter)
             inside = members > 0.5
             sheet = _Points(own[inside], (mass * members)[inside])
-            uv = np.asarray(_foot_points(_surface(control), sheet.padded))[: len(sheet.points)]
+            uv = np.asarray(feet(_surface(control), jnp.asarray(sheet.padded)))[: len(sheet.points)]
         progress(f"smoothing less and less, round {number + 1} of {rounds}")
         stiffness = 10 ** np.interp(number / _ROUNDS, [0.0, 0.7], [_STIFF, _LIMP])
         uv, system = sheet.system(control, uv, stiffness * bending, 4 if number == 0 else 2)
         control = system.solved()
+        show(_surface(control), [sheet.beside(uv)])
         if number + 1 == rounds:
             freedom = system.freedom()
     model, own_pose = _in_own_frame(control, canonical, pose)
-    distance, beyond, feet = _beside(model, own_pose.into(points))
+    distance, beyond, uv = beside(model, own_pose.into(points))
     distance = float(own_pose.scale) * off(distance, beyond)
     everyone = np.zeros(len(points))
     everyone[np.flatnonzero(used)[order]] = members
-    return SplineFit(model, own_pose, distance, feet, everyone, freedom, rounds)
+    return SplineFit(model, own_pose, distance, uv, everyone, freedom, rounds)
 
 
 def _members(
@@ -122,32 +123,8 @@ def _members(
 ) -> Float[np.ndarray, " n"]:
     """The probability that each point belongs to the sheet of some coefficients."""
     surface = _surface(control)
-    distance, beyond, _ = _beside(surface, points)
+    distance, beyond, _ = beside(surface, points)
     return clutter.mixture(surface, distance, beyond, weights, None).members
-
-
-def _foot_points(surface: SplinePetal, padded: Float[np.ndarray, "n 3"]) -> Float[Array, "n 2"]:
-    return programs.refine(surface, padded, programs.nearest(surface, padded), 6)
-
-
-def _beside(
-    surface: SplinePetal, points: Float[np.ndarray, "n 3"]
-) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, "n 2"]]:
-    """Signed normal distances, distances beyond the edge, negative inside, and foot points."""
-    padded = pad_to(points, bucket(len(points)))
-    uv = _foot_points(surface, padded)
-    here = _frames(surface, uv)
-    distance = np.asarray(here.distance(jnp.asarray(padded)))
-    beyond = np.max(np.asarray(here.beyond(jnp.asarray(padded))), axis=-1)
-    n = len(points)
-    return distance[:n], beyond[:n], np.asarray(uv)[:n]
-
-
-def _frame_at(surface: AbstractSurface, uv: Float[Array, "n 2"]) -> Frame:
-    return frame(surface, uv)
-
-
-_frames = Program(_frame_at)
 
 
 def _surface(control: Float[np.ndarray, "k 3"]) -> SplinePetal:
@@ -179,7 +156,7 @@ class _Points:
         surface, n = _surface(control), len(self.points)
         start = jnp.asarray(pad_to(uv, len(self.padded)))
         uv = np.asarray(programs.refine(surface, self.padded, start, iterations))
-        here = _frames(surface, jnp.asarray(uv))
+        here = programs.frames(surface, jnp.asarray(uv))
         uv = uv[:n]
         normal, position, conormals, left = (
             np.asarray(x)[:n] for x in (here.normal, here.position, here.conormals, here.left)
@@ -194,6 +171,11 @@ class _Points:
             system.add(rows[on], along, np.sum(along * self.points[on], axis=1), self.weights[on])
         self._add_emptiness(system, control, total)
         return uv, system
+
+    def beside(self, uv: Float[np.ndarray, "n 2"]) -> TangentDistance:
+        """The cloud with its foot points."""
+        cloud = ObservedCloud(pad(self.points, self.weights, None))
+        return cloud.at(jnp.asarray(pad_to(uv, len(self.padded))))
 
     def _add_emptiness(
         self, system: _System, control: Float[np.ndarray, "k 3"], total: float

@@ -1,0 +1,517 @@
+"""The page of one petal: a target in, a fit that one can watch, sliders, files out."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import viser
+from jaxtyping import Float
+
+from petalfit.components import AbstractAssembly, Posed, models, parameters
+from petalfit.export.mesh import export_glb
+from petalfit.fitting import FitResult, Start, fit_petal
+from petalfit.fitting.cloud import beside, off
+from petalfit.fitting.live import Glimpse, looking_on
+from petalfit.observations import Camera, PointCloud, Silhouette, TargetError
+from petalfit.report import write_report
+from petalfit.report.colour import IGNORED, diverging
+from petalfit.report.scene import distance_limit
+from petalfit.studio import words
+from petalfit.studio.pictures import picture
+from petalfit.studio.session import Session
+from petalfit.studio.sliders import add_slider
+from petalfit.studio.uploads import Photo, read_upload
+from petalfit.studio.work import CalledOff, Work
+from petalfit.surfaces import AbstractSurface, Pose, value_at, with_value
+from petalfit.synthetic import RECIPES, make, make_masks
+
+_RESOLUTION = (65, 65)  # that of `FitResult.mesh`, whose program is there
+_IN_VIEW = 20_000  # points; of more a random choice
+_BESIDE = 2000  # of them, whose distances follow the sliders
+_OFTEN = 0.08  # seconds between two pictures of a fit that runs
+_FEW = 12  # rounds seen; with fewer the fit was too quick for the eye, and is shown again
+_FIRST = "noisy"
+_CASES = {
+    f"{case.name}: {case.about}": case
+    for case in RECIPES
+    if len(case.sights) + (case.points > 0) == 1
+}
+_FITTED = "the fit"
+_WELCOME = (
+    "Open a scan, a mesh, a mask or a photo of a petal, or choose a case; then fit it. "
+    "Nothing leaves this computer."
+)
+
+
+class PetalPage:
+    """Controls of the page, and what they stand for."""
+
+    def __init__(self, session: Session) -> None:
+        self._session, self._scenery = session, session.scenery
+        self._target: PointCloud | Silhouette | None = None
+        self._photo: Photo | None = None
+        self._result: FitResult | None = None
+        self._model: AbstractSurface | None = None
+        self._history: list[Glimpse] = []
+        self._costs: list[float] = []
+        self._some = np.arange(0)
+        self._sliders: list[Any] = []
+        self._rounds: list[Any] = []
+        self._build()
+
+    def _build(self) -> None:
+        gui, reacting = self._session.gui, self._session.reacting
+        self.place = gui.add_folder(None)
+        with self.place:
+            gui.add_html(words.soft(_WELCOME))
+            self._upload = gui.add_upload_button(
+                "Open a file",
+                icon=viser.Icon.UPLOAD,
+                hint="Cloud or mesh (.ply .obj .stl .glb .xyz .txt .csv .npy .npz), mask or photo "
+                "(.png .jpg .tif ...), camera of the mask or an earlier fit (.json)",
+            )
+            self._case = gui.add_dropdown(
+                "Case", [*_CASES], initial_value=next(name for name in _CASES if _is_first(name))
+            )
+            self._about = gui.add_html("")
+            self._picture = gui.add_image(np.full((2, 2, 3), 255, np.uint8), visible=False)
+            with gui.add_folder(None, visible=False) as self._cut:
+                self._spot = gui.add_vector2(
+                    "On the petal", (0.0, 0.0), step=1.0,
+                    hint="A place on it, in pixels from the left and from the top of the photo",
+                )  # fmt: skip
+                again = gui.add_button("Cut it out again", icon=viser.Icon.SCISSORS)
+            with gui.add_folder("Fit"):
+                self._kind = gui.add_dropdown(
+                    "Model", ["auto", *models()], initial_value="PeonyPetal",
+                    hint="auto fits every family of petals and keeps the one that explains best",
+                )  # fmt: skip
+                self._pose = gui.add_dropdown(
+                    "Pose", ["known", "rigid", "similarity"],
+                    hint="known: in the model's frame and unit; rigid: anywhere, in its unit; "
+                    "similarity: anywhere, in any unit",
+                )  # fmt: skip
+                self._loss = gui.add_dropdown(
+                    "Loss", ["linear", "robust"],
+                    hint="robust if there may be strays, clutter or other things",
+                )  # fmt: skip
+                self._go = gui.add_button("Fit", color="teal", icon=viser.Icon.PLAYER_PLAY)
+                self._stop = gui.add_button("Cancel", icon=viser.Icon.X, visible=False)
+                self._state = gui.add_html("")
+            with gui.add_folder("Result", visible=False) as self._found:
+                self._verdict = gui.add_html("")
+                self._table = gui.add_html("")
+                self._start = gui.add_dropdown(
+                    "Show", [_FITTED], hint="Other starts of the fit, and where they ended"
+                )
+                self._round = gui.add_folder(None)
+                with gui.add_folder("Download", expand_by_default=True):
+                    files = {
+                        name: gui.add_button(name, icon=viser.Icon.DOWNLOAD, hint=hint)
+                        for name, hint in _FILES.items()
+                    }
+            with gui.add_folder("Parameters", visible=False) as self._numbers:
+                self._edited = gui.add_html("")
+            with gui.add_folder("View"):
+                self._show_surface = gui.add_checkbox("surface", True)
+                self._show_points = gui.add_checkbox("points", True)
+                self._show_normals = gui.add_checkbox("normals", False)
+                self._key = gui.add_html("", visible=False)
+        self._upload.on_upload(reacting(self._uploaded))
+        self._case.on_update(reacting(lambda _: self.open_case()))
+        again.on_click(reacting(lambda _: self._cut_again()))
+        self._go.on_click(reacting(lambda _: self._fit()))
+        self._stop.on_click(lambda _: self._cancel())
+        self._start.on_update(reacting(lambda _: self._show_start()))
+        for name, button in files.items():
+            button.on_click(reacting(lambda _, name=name: self._download(name)))
+        for box in (self._show_surface, self._show_points, self._show_normals):
+            box.on_update(self._session.latest(self.draw))
+
+    def leave(self) -> None:
+        """Another page is shown: a fit would draw into it."""
+        self._session.forget()
+        self._at_rest()
+
+    # What is fitted.
+
+    def open_case(self) -> None:
+        """The chosen case is the target."""
+        case = _CASES[self._case.value]
+        target = make(case) if case.points else make_masks(case)[0]
+        pose = "similarity" if case.unit != 1.0 else "rigid" if any(case.turn) else "known"
+        self._take(target, "", pose, "robust" if case.strays else "linear")
+
+    def _uploaded(self, event: Any) -> None:
+        file = event.target.value
+        read = read_upload(file.name, file.content)
+        if isinstance(read, Camera):
+            if not isinstance(self._target, Silhouette):
+                raise TargetError("a camera is of a mask: open the mask first, then its camera.")
+            mask = Silhouette(self._target.mask, read, self._target.weights)
+            self._take(mask, f"a mask with the camera of {file.name}", "known", "linear")
+        elif isinstance(read, FitResult):
+            self._take(read.agreements[0].target, f"the fit of {file.name}", "known", "linear")
+            self._settle(read)
+        elif isinstance(read, Photo):
+            self._take_photo(read, file.name)
+        elif isinstance(read, Silhouette):
+            self._take(read, f"{file.name}, a mask", "known", "linear")
+        else:
+            self._take(read, f"{file.name}, {len(read):,} points", "similarity", "linear")
+            self._kind.value = "auto"
+
+    def _take_photo(self, photo: Photo, name: str) -> None:
+        self._take(photo.target, f"{name}, a photo; is this the petal?", "known", "linear", photo)
+
+    def _cut_again(self) -> None:
+        assert self._photo is not None, "the button shows with a photo"
+        x, y = self._spot.value
+        self._take_photo(Photo.of(self._photo.picture, (float(x), float(y))), "cut out again")
+
+    def _take(
+        self,
+        target: PointCloud | Silhouette,
+        about: str,
+        pose: str,
+        loss: str,
+        photo: Photo | None = None,
+    ) -> None:
+        """A new target, and the options that suit it."""
+        self._session.forget()
+        self._at_rest()
+        self._target, self._photo, self._result, self._model = target, photo, None, None
+        self._history, self._costs = [], []
+        self._about.content = words.text(about)
+        self._state.content = ""
+        self._pose.value, self._loss.value = pose, loss
+        if isinstance(target, Silhouette) and self._kind.value in ("auto", "SplinePetal"):
+            self._kind.value = "PeonyPetal"
+        for part in (self._found, self._numbers, self._key):
+            part.visible = False
+        self._cut.visible = photo is not None
+        self._picture.visible = isinstance(target, Silhouette)
+        self._scenery.clear()
+        if isinstance(target, PointCloud):
+            self._some = np.random.default_rng(0).permutation(len(target))[:_IN_VIEW]
+            self._scenery.look_at(target.points[self._some])
+        self.draw()
+
+    # The fit.
+
+    def _fit(self) -> None:
+        if self._session.busy and self._result is None:
+            raise TargetError("a fit is running; wait for it, or cancel it first.")
+        target = self._target
+        assert target is not None, "a page opens with a case"
+        kind: Any = self._kind.value if self._kind.value == "auto" else models()[self._kind.value]
+        options = {"model": kind, "pose": self._pose.value, "loss": self._loss.value}
+        self._history, self._costs, self._result, self._model = [], [], None, None
+        self._found.visible = self._numbers.visible = self._key.visible = False
+        self._stop.visible, self._go.disabled = True, True
+        self._state.content = words.progress("waiting for a core", [])
+        self._session.begin(lambda work: self._run(work, target, options))
+
+    def _run(self, work: Work, target: PointCloud | Silhouette, options: dict[str, Any]) -> None:
+        """The fit, in a thread of its own."""
+        session, drawn, shown = self._session, [0.0], [0]
+        stage = ["beginning"]
+
+        def tell(text: str) -> None:
+            work.check()
+            stage[0] = text
+            with session.turn():
+                self._state.content = words.progress(text, self._costs)
+
+        def look(glimpse: Glimpse) -> None:
+            work.check()
+            self._remember(glimpse)
+            if time.monotonic() - drawn[0] > _OFTEN:
+                with session.turn():
+                    work.check()
+                    self._draw_glimpse(glimpse, first=shown[0] == 0)
+                    self._state.content = words.progress(stage[0], self._costs)
+                drawn[0] = time.monotonic()
+                shown[0] += 1
+
+        outcome: Callable[[], None]
+        try:
+            with session.compiled(), looking_on(look):
+                result = fit_petal(target, throw=False, progress=tell, **options)
+            outcome = lambda: self._settle(result)  # noqa: E731
+        except CalledOff:
+            outcome = self._called_off
+        except Exception as error:
+            outcome = _raising(error)
+        with session.turn():
+            if not session.wants(work):
+                return
+            self._at_rest()
+            self._state.content = words.progress("", self._costs) if self._costs else ""
+            outcome()
+        if self._result is None:
+            return
+        if shown[0] < _FEW:
+            self._replay(work)
+        self._prepare_sliders(self._result)
+
+    def _remember(self, glimpse: Glimpse) -> None:
+        self._history.append(glimpse)
+        if len(glimpse.distances):
+            self._costs.append(float(np.sqrt(np.mean(glimpse.distances**2))))
+
+    def _at_rest(self) -> None:
+        self._stop.visible, self._go.disabled = False, False
+
+    def _cancel(self) -> None:
+        """At once, without waiting for a turn that the fit may have."""
+        self._session.call_off()
+        self._at_rest()
+        self._state.content = words.soft("cancelling; a step that has begun ends first")
+
+    def _called_off(self) -> None:
+        self._state.content = words.soft("cancelled; the petal is where it stood")
+
+    def _replay(self, work: Work) -> None:
+        """The rounds once more, slowly enough to be seen."""
+        result = self._result
+        for k, glimpse in enumerate(self._history[-3 * _FEW :]):
+            with self._session.turn():
+                if not self._session.wants(work) or self._is_edited:
+                    return
+                self._draw_glimpse(glimpse, first=k == 0)
+            time.sleep(_OFTEN)
+        with self._session.turn():
+            if self._session.wants(work) and self._result is result:
+                self.draw(look=True)
+
+    def _prepare_sliders(self, result: FitResult) -> None:
+        """The first distances that a process measures are compiled: not while a slider waits."""
+        target = result.agreements[0].target
+        if isinstance(target, PointCloud) and not isinstance(result.model, AbstractAssembly):
+            with self._session.compiled():
+                _distances(result.model, result.pose.into(target.points[self._some][:_BESIDE]))
+
+    def _settle(self, result: FitResult) -> None:
+        """Shows what a fit found."""
+        self._result, self._model = result, result.model
+        self._verdict.content = words.verdict(result)
+        self._table.content = words.table(result)
+        self._start.options = [_FITTED, *_ends(result)]
+        self._start.value = _FITTED
+        self._found.visible = self._numbers.visible = True
+        self._add_sliders(result.model)
+        self._add_rounds()
+        part = result.agreements[0]
+        self._key.content = words.key(distance_limit(part), " px" if part.unit == "px" else "")
+        self._key.visible = isinstance(part.target, PointCloud)
+        self.draw(look=True)
+
+    def _add_rounds(self) -> None:
+        """A slider through the rounds of the fit that has just been made."""
+        self._round.visible = len(self._history) > 1
+        for child in self._rounds:
+            child.remove()
+        self._rounds = []
+        if len(self._history) < 2:
+            return
+        last = len(self._history) - 1
+        with self._round:
+            handle = self._session.gui.add_slider(
+                "Round", 0, last, 1, last, hint="Where the fit stood after each round"
+            )
+        handle.on_update(
+            self._session.latest(lambda: self._draw_glimpse(self._history[int(handle.value)]))
+        )
+        self._rounds.append(handle)
+
+    # What is shown.
+
+    @property
+    def _is_edited(self) -> bool:
+        return self._result is not None and self._model is not self._result.model
+
+    def _show_start(self) -> None:
+        result = self._result
+        if result is None:
+            return
+        model = result.model
+        chosen = _ends(result).get(self._start.value)
+        if chosen is not None:
+            for name in set(chosen.values) & set(parameters(model)):
+                model = with_value(model, name, np.float64(chosen.values[name]))
+        self._model = model
+        self._add_sliders(model)
+        self.draw()
+
+    def _add_sliders(self, model: AbstractSurface) -> None:
+        gui = self._session.gui
+        for handle in self._sliders:
+            handle.remove()
+        self._sliders = []
+        with self._numbers:
+            for name, parameter in parameters(model).items():
+                value = float(value_at(model, name))
+
+                def moved(name: str = name) -> None:
+                    self._moved(name)
+
+                handle = add_slider(
+                    gui, name, words.declaration(model, name), parameter, value,
+                    self._session.latest(moved),
+                )  # fmt: skip
+                self._sliders.append(handle)
+
+    def _moved(self, _: str) -> None:
+        """The sliders say what the petal is."""
+        if self._model is None:
+            return
+        model = self._model
+        for name, handle in zip(parameters(model), self._sliders, strict=True):
+            lowest = 0.6 * handle.step
+            if abs(float(value_at(model, name)) - handle.value) > lowest:
+                model = with_value(model, name, np.float64(handle.value))
+        if model is not self._model:
+            self._model = model
+            self.draw()
+
+    def draw(self, look: bool = False) -> None:
+        """Everything, as it is; from a new place if `look`."""
+        target, result, model = self._target, self._result, self._model
+        if target is None:
+            return
+        pose = Pose.identity() if result is None else result.pose
+        if model is not None:
+            self._draw_surface(model, look)
+        distances = None
+        if isinstance(target, PointCloud):
+            distances = self._draw_points(target, pose, model)
+        else:
+            self._picture.image = picture(
+                target, None if self._photo is None else self._photo.picture, model, pose
+            )
+        if result is None:
+            return
+        rms = None
+        if distances is not None:
+            part = result.agreements[0]
+            weights = part.weights[self._some[: len(distances)]]
+            rms = float(np.sqrt(np.average(distances**2, weights=weights + 1e-300)))
+        unit = " px" if isinstance(target, Silhouette) else ""
+        self._edited.content = words.edited(result, rms, unit) if self._is_edited else ""
+
+    def _draw_surface(self, model: AbstractSurface, look: bool) -> None:
+        mesh = model.mesh(_RESOLUTION)
+        vertices, normals = np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals)
+        if look:
+            self._scenery.look_at(vertices)
+        self._scenery.surface(vertices, np.asarray(mesh.faces), self._show_surface.value)
+        self._scenery.normals(vertices, normals, self._show_normals.value)
+
+    def _draw_points(
+        self, target: PointCloud, pose: Pose, model: AbstractSurface | None
+    ) -> Float[np.ndarray, " n"] | None:
+        """Points in the model's frame by their distances, which are given back if they were measured."""
+        result = self._result
+        points = pose.into(target.points[self._some])
+        colours, distances = np.tile(IGNORED, (len(points), 1)), None
+        if result is not None and model is not None:
+            part = result.agreements[0]
+            limit, used = distance_limit(part), part.used[self._some]
+            if not self._is_edited:
+                distances = part.distances[self._some]
+            elif not isinstance(model, AbstractAssembly):
+                points, used = points[:_BESIDE], used[:_BESIDE]
+                distances = float(pose.scale) * _distances(model, points)
+            if distances is not None:
+                colours = np.where(used[:, None], diverging(distances / limit), IGNORED)
+        self._scenery.points(points, colours[: len(points)], self._show_points.value)
+        return distances
+
+    def _draw_glimpse(self, glimpse: Glimpse, first: bool = False) -> None:
+        model, points = glimpse.model, glimpse.points
+        target = self._target
+        if isinstance(target, Silhouette):
+            self._picture.image = picture(
+                target,
+                None if self._photo is None else self._photo.picture,
+                model,
+                Pose.identity(),
+            )
+        if isinstance(model, Posed):
+            # The petal stays where it is, and its points come to it.
+            points, model = model.placement.into(points), model.surface
+        self._draw_surface(model, first)
+        limit = 3 * float(np.median(glimpse.distances)) if len(points) else 1.0
+        colours = diverging(glimpse.distances / max(limit, 1e-300))
+        self._scenery.points(points, colours, self._show_points.value)
+
+    # What is taken home.
+
+    def _download(self, name: str) -> None:
+        result, model = self._result, self._model
+        assert result is not None, "the buttons show with a result"
+        assert model is not None, "a result has a model"
+        if name == "petal.glb" and self._is_edited:
+            values = {each: float(value_at(model, each)) for each in parameters(model)}
+            result = dataclasses.replace(
+                result, model=model, values=result.values | values, stderr={}, identifiable={},
+                names=(), covariance=np.zeros((0, 0)),
+            )  # fmt: skip
+        write = {
+            "fit.json": lambda path: result.save(path),
+            "petal.glb": lambda path: export_glb(result, path),
+            "report.html": lambda path: write_report(result, path),
+        }[name]
+        self._session.download(name, _written(write, name))
+
+
+_FILES = {
+    "fit.json": "All numbers of the fit; open it here again, or with pf.FitResult.load",
+    "petal.glb": "The petal as it is shown, as glTF with its parameters in extras",
+    "report.html": "One page with tables and pictures, which needs no network",
+}
+
+
+def _distances(model: AbstractSurface, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+    """Signed distances to a surface that ends."""
+    with jax.enable_x64(True):
+        normal, beyond, _ = beside(model, points)
+    return off(normal, beyond)
+
+
+def _is_first(name: str) -> bool:
+    return name.startswith(f"{_FIRST}:")
+
+
+def _ends(result: FitResult) -> dict[str, Start]:
+    """The other starts by what the page calls them."""
+    return {
+        f"{'rival' if start in result.rivals else 'start'}: {start.label}, "
+        f"Δχ² {start.delta_chi2:.3g}": start
+        for start in result.starts[1:]
+        if np.isfinite(start.delta_chi2)
+    }
+
+
+def _raising(error: Exception) -> Callable[[], None]:
+    def outcome() -> None:
+        raise error
+
+    return outcome
+
+
+def _written(write: Callable[[str | os.PathLike[str]], None], name: str) -> bytes:
+    """What a function writes into a file."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / name
+        write(path)
+        return path.read_bytes()

@@ -1,0 +1,97 @@
+"""What a browser shows in space: a surface, its normals, the points beside it."""
+
+from __future__ import annotations
+
+import numpy as np
+import viser
+from jaxtyping import Float, Int
+
+from petalfit.report.colour import FRONT
+
+_NORMALS = 12  # per side of a surface
+
+
+class Scenery:
+    """The scene of one browser. Lengths are the model's, y is up."""
+
+    def __init__(self, client: viser.ClientHandle) -> None:
+        self._client, self._scene = client, client.scene
+        self._scene.set_up_direction("+y")
+        self._faces: Int[np.ndarray, "f 3"] | None = None
+        self._surface: viser.MeshHandle | None = None
+        self._extent = 1.0
+
+    def clear(self) -> None:
+        """Nothing is left."""
+        self._scene.reset()
+        self._scene.set_up_direction("+y")
+        self._surface = None
+
+    def look_at(self, points: Float[np.ndarray, "n 3"]) -> None:
+        """Puts the viewer where all points are seen, obliquely from the front."""
+        low, high = points.min(axis=0), points.max(axis=0)
+        middle, self._extent = 0.5 * (low + high), float(np.linalg.norm(high - low))
+        away = np.array([0.45, 0.35, 1.0])
+        camera = self._client.camera
+        with self._client.atomic():
+            camera.up_direction = (0.0, 1.0, 0.0)
+            camera.position = middle + self._extent * away / np.linalg.norm(away)
+            camera.look_at = middle
+
+    def surface(
+        self, vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "f 3"], visible: bool
+    ) -> None:
+        """The surface from now on."""
+        known = self._faces is not None and np.array_equal(self._faces, faces)
+        if self._surface is not None and known:
+            self._surface.vertices = np.asarray(vertices, np.float32)
+            self._surface.visible = visible
+            return
+        self._faces = faces
+        self._surface = self._scene.add_mesh_simple(
+            "/surface",
+            vertices,
+            faces,
+            color=tuple(np.rint(255 * FRONT).astype(int).tolist()),
+            side="double",
+            visible=visible,
+        )
+
+    def normals(
+        self,
+        vertices: Float[np.ndarray, "n 3"],
+        normals: Float[np.ndarray, "n 3"],
+        visible: bool,
+    ) -> None:
+        """Some normals of the surface, as lines."""
+        if not visible:
+            self._scene.remove_by_name("/normals")
+            return
+        some = np.linspace(0, len(vertices) - 1, _NORMALS**2).astype(int)
+        ends = vertices[some] + 0.06 * self._extent * normals[some]
+        self._scene.add_line_segments(
+            "/normals",
+            np.stack([vertices[some], ends], axis=1),
+            (90, 90, 110),
+            thickness=0.002 * self._extent,
+        )
+
+    def points(
+        self, points: Float[np.ndarray, "n 3"], colours: Float[np.ndarray, "n 3"], visible: bool
+    ) -> None:
+        """The points from now on; colours from 0 to 1."""
+        if len(points) == 0 or not visible:
+            self._scene.remove_by_name("/points")
+            return
+        self._scene.add_point_cloud(
+            "/points",
+            points,
+            colours,
+            point_size=0.006 * self._extent,
+            point_shape="circle",
+            precision="float32",
+        )
+
+    def model(self, name: str, glb: bytes) -> None:
+        """A file of glTF under a name."""
+        self._scene.add_glb(f"/{name}", glb)

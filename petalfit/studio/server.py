@@ -1,0 +1,94 @@
+"""The server: it listens on this computer only, and gives each browser a session of its own."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from pathlib import Path
+
+import viser
+
+from petalfit.compilation.cache import folder_in_common
+from petalfit.studio.flower_page import FlowerPage
+from petalfit.studio.petal_page import PetalPage
+from petalfit.studio.session import Session
+from petalfit.studio.work import Workshop
+
+HOST = "127.0.0.1"
+PORT = 8090
+_BRAND = (176, 66, 108)
+
+
+class Studio:
+    """A running server.
+
+    Attributes:
+        url: Where it listens: at the port that was asked for, or the next one that is free.
+    """
+
+    def __init__(self, port: int = PORT) -> None:
+        self._workshop = Workshop()
+        self._folder: Path | None = folder_in_common()
+        self._sessions: dict[int, Session] = {}
+        with contextlib.redirect_stdout(io.StringIO()):  # viser introduces itself
+            self._server = viser.ViserServer(HOST, port, verbose=False)
+        gui = self._server.gui
+        gui.configure_theme(
+            control_width="large",
+            show_logo=False,
+            show_share_button=False,
+            brand_color=_BRAND,
+        )
+        gui.set_panel_label("petalfit studio")
+        self._server.on_client_connect(self._welcome)
+        self._server.on_client_disconnect(self._take_leave)
+        self.url = f"http://{HOST}:{self._server.get_port()}"
+
+    def stop(self) -> None:
+        """Ends all fits, and says goodbye."""
+        for session in [*self._sessions.values()]:
+            session.close()
+        with contextlib.redirect_stdout(io.StringIO()):
+            self._server.stop()
+
+    def _welcome(self, client: viser.ClientHandle) -> None:
+        session = Session(client, self._workshop, self._folder)
+        self._sessions[client.client_id] = session
+        Pages(session)
+
+    def _take_leave(self, client: viser.ClientHandle) -> None:
+        session = self._sessions.pop(client.client_id, None)
+        if session is not None:
+            session.close()
+
+
+class Pages:
+    """The two pages of a session, one of which is shown, and what both have in common."""
+
+    def __init__(self, session: Session) -> None:
+        gui = session.gui
+        choice = gui.add_button_group("Page", ("Petal", "Flower"))
+        self._petal, self._flower = PetalPage(session), FlowerPage(session)
+        self._flower.place.visible = False
+        dark = gui.add_checkbox("dark", False)
+        choice.on_click(session.reacting(lambda event: self._open(event.target.value)))
+        dark.on_update(
+            session.reacting(
+                lambda _: gui.configure_theme(
+                    dark_mode=dark.value, control_width="large", show_logo=False,
+                    show_share_button=False, brand_color=_BRAND,
+                )
+            )
+        )  # fmt: skip
+        session.reacting(lambda _: self._petal.open_case())(None)
+
+    def _open(self, page: str) -> None:
+        flower = page == "Flower"
+        if self._flower.place.visible == flower:
+            return
+        self._petal.place.visible, self._flower.place.visible = not flower, flower
+        if flower:
+            self._petal.leave()
+            self._flower.open()
+        else:
+            self._petal.draw(look=True)

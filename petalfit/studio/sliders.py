@@ -1,0 +1,42 @@
+"""Sliders for parameters, with ranges and units from their declarations."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import viser
+
+from petalfit.surfaces import Parameter
+
+_STEPS = 400
+
+
+def slider_range(parameter: Parameter, value: float) -> tuple[float, float, float]:
+    """Lowest, highest and step: the typical range and half of it around, the value, within the bounds."""
+    low, high = parameter.typical
+    room = 0.25 * (high - low)
+    low, high = min(low - room, value), max(high + room, value)
+    # Bounds are open: their ends are no values of a surface.
+    inside = 1e-3 * (high - low)
+    low, high = max(low, parameter.bounds[0] + inside), min(high, parameter.bounds[1] - inside)
+    decimals = -math.floor(math.log10((high - low) / _STEPS))
+    step = round(10.0**-decimals, max(decimals, 0))
+    low, high = step * math.floor(low / step), step * math.ceil(high / step)
+    return max(low, parameter.bounds[0]), min(high, parameter.bounds[1]), step
+
+
+def add_slider(
+    gui: viser.GuiApi,
+    label: str,
+    hint: str,
+    parameter: Parameter,
+    value: float,
+    moved: Callable[[viser.GuiEvent[viser.GuiSliderHandle[float]]], None],
+) -> viser.GuiSliderHandle[float]:
+    """A slider that calls `moved` whenever it is."""
+    low, high, step = slider_range(parameter, value)
+    shown = min(max(step * round(value / step), low), high)
+    handle = gui.add_slider(label, float(low), float(high), float(step), float(shown), hint=hint)
+    handle.on_update(moved)
+    return handle

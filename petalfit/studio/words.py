@@ -1,0 +1,130 @@
+"""What the page says: pieces of HTML that suit its light and its dark."""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from petalfit.components import parameters
+from petalfit.fitting import FitResult
+from petalfit.report.colour import NEGATIVE, POSITIVE, ZERO, css
+from petalfit.report.rounding import measured, plain
+
+_SOFT = "opacity:0.72;font-size:0.86em"
+_CELL = "padding:0.1em 0.35em;vertical-align:top"
+
+
+def text(sentence: str) -> str:
+    """A sentence of ours, without markup."""
+    return _block(html.escape(sentence))
+
+
+def soft(sentence: str) -> str:
+    """The same, less loud."""
+    return _block(f'<span style="{_SOFT}">{html.escape(sentence)}</span>')
+
+
+def _block(content: str) -> str:
+    style = "padding:0 0.75em 0.4em;line-height:1.35;font-size:0.9em;overflow-wrap:anywhere"
+    return f'<div style="{style}">{content}</div>'
+
+
+def verdict(result: FitResult) -> str:
+    """Whether it converged, how close it came, and the reasons for doubt."""
+    part = result.agreements[0]
+    unit = " px" if part.unit == "px" else ""
+    mark, words = ("✓", "converged") if result.converged else ("✗", "not converged")
+    lines = [
+        f"<strong>{mark} {type(result.model).__name__} {words}</strong> in "
+        f"{sum(result.timings.values()):.2g} s, rms {plain(part.rms)}{unit}, "
+        f"noise σ {plain(part.noise)}{unit}"
+    ]
+    if result.ranking:
+        ranks = ", ".join(f"{html.escape(x.model)} {x.delta_bic:+.0f}" for x in result.ranking[1:])
+        lines.append(f'<span style="{_SOFT}">ΔBIC of the others: {ranks}</span>')
+    doubts = [x for x in result.warnings if not x.endswith("is not determined by this target")]
+    if not result.converged:
+        doubts.insert(0, result.message)
+    lines += [f'<span style="{_SOFT}">⚠ {html.escape(doubt)}</span>' for doubt in doubts]
+    return _block("<br>".join(lines))
+
+
+def table(result: FitResult) -> str:
+    """Every parameter, its error, and what is not determined."""
+    rows = []
+    for name, parameter in result.declared.items():
+        value, error = result.values[name], result.stderr.get(name, math.nan)
+        if name not in result.stderr:
+            shown, style = plain(value), _SOFT
+            note = "fixed" if result.names else ""
+        elif not result.identifiable[name]:
+            shown, style, note = f"≈ {plain(value)}", _SOFT, "not determined"
+        else:
+            rounded, rounded_error = measured(value, error)
+            shown, style, note = f"{rounded} ± {rounded_error}", "", ""
+        unit = "" if parameter.unit in ("1", "length") else f" {html.escape(parameter.unit)}"
+        rows.append(
+            f'<tr style="{style}" title="{html.escape(parameter.meaning)}">'
+            f'<td style="{_CELL}"><code>{html.escape(name)}</code></td>'
+            f'<td style="{_CELL};text-align:right;white-space:nowrap">{shown}{unit}</td>'
+            f'<td style="{_CELL};{_SOFT}">{note}</td></tr>'
+        )
+    return _block(
+        '<table style="border-collapse:collapse;font-size:0.86em;width:100%">'
+        + "".join(rows)
+        + "</table>"
+    )
+
+
+def progress(stage: str, costs: Sequence[float]) -> str:
+    """What a fit is doing, and how close it was after each round."""
+    return _block(f"{html.escape(stage)}{_curve(costs)}")
+
+
+def _curve(costs: Sequence[float]) -> str:
+    found = np.asarray(costs, float)
+    found = np.log10(np.maximum(found[np.isfinite(found)], 1e-12))
+    if len(found) < 2:
+        return ""
+    low, high = float(found.min()), float(found.max())
+    x = np.linspace(2, 278, len(found))
+    y = 40 - 36 * (found - low) / max(high - low, 1e-9)
+    places = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True))
+    return (
+        f'<svg viewBox="0 0 280 44" style="width:100%;display:block" role="img">'
+        f"<title>distance after each round, logarithmic</title>"
+        f'<polyline points="{places}" fill="none" stroke="currentColor" stroke-width="1.5"/></svg>'
+        f'<span style="{_SOFT}">{len(costs)} rounds seen; rms distance {plain(costs[-1])}</span>'
+    )
+
+
+def key(limit: float, unit: str) -> str:
+    """What the colours of points mean."""
+    stops = ", ".join(css(colour) for colour in (NEGATIVE, ZERO, POSITIVE))
+    return _block(
+        f'<div style="height:0.6em;border-radius:0.3em;background:linear-gradient(90deg, {stops})">'
+        f'</div><div style="display:flex;justify-content:space-between;{_SOFT}">'
+        f"<span>−{plain(limit, 2)}{unit}</span><span>distance</span>"
+        f"<span>+{plain(limit, 2)}{unit}</span></div>"
+    )
+
+
+def edited(result: FitResult, rms: float | None, unit: str) -> str:
+    """How the petal that the sliders show compares with the fitted one."""
+    if rms is None:
+        return soft("as the sliders say")
+    fitted = result.agreements[0].rms
+    return soft(
+        f"as the sliders say: rms {plain(rms)}{unit}, {rms / max(fitted, 1e-300):.3g} times the fit's"
+    )
+
+
+def declaration(model: object, name: str) -> str:
+    """A parameter's meaning, unit and typical range, for whoever hovers over it."""
+    declared = parameters(model)[name]  # pyright: ignore[reportArgumentType]
+    unit = {"1": "no unit", "length": "length"}.get(declared.unit, declared.unit)
+    low, high = declared.typical
+    return f"{declared.meaning} ({declared.symbol}; {unit}; typically {low:g} to {high:g})"

@@ -1,0 +1,191 @@
+"""The studio as somebody uses it who looks at it in a browser."""
+
+import re
+import socket
+import subprocess
+import sys
+import time
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from playwright.sync_api import Page, expect
+
+import petalfit as pf
+from tests.browser import Watched, browser
+
+__all__ = ["browser"]
+
+PETAL = pf.PeonyPetal(a_x=14.0, b_y=22.0, c=0.6, dx=0.4, dy=3.0)
+A_WHILE = 240_000  # milliseconds: for what has to be compiled first
+
+
+@pytest.fixture(scope="module")
+def url():
+    """A running studio, which ends when it is asked to."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    command = [sys.executable, "-m", "petalfit", "studio", "--no-browser", "--port", str(port)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    address = process.stdout.readline().split()[0]
+    assert address == f"http://127.0.0.1:{port}"
+    yield address
+    process.send_signal(2)
+    _, said = process.communicate(timeout=20)
+    assert process.returncode == 0
+    assert "Traceback" not in said, said
+
+
+@pytest.fixture
+def opened(browser, url):
+    """A page of its own, which must not have complained, nor asked anybody else for anything."""
+    page = browser.new_page(viewport={"width": 1280, "height": 1000})
+    watched = Watched(page)
+    page.goto(url)
+    expect(page.get_by_text("Open a file")).to_be_visible(timeout=A_WHILE)
+    expect(page.get_by_role("button", name="Fit", exact=True)).to_be_enabled(timeout=A_WHILE)
+    yield page
+    page.close()
+    assert not watched.errors
+    assert not watched.beyond(url, url.replace("http", "ws"))
+
+
+def upload(page: Page, path: Path) -> None:
+    page.set_input_files("input[type=file]", path)
+
+
+def fit(page: Page) -> None:
+    page.get_by_role("button", name="Fit", exact=True).click()
+    expect(page.get_by_text("converged")).to_be_visible(timeout=A_WHILE)
+
+
+def choose(page: Page, label: str, option: str) -> None:
+    page.get_by_label(label, exact=True).click()
+    page.get_by_role("option", name=option, exact=True).click()
+
+
+def value(page: Page, name: str) -> float:
+    row = page.locator("tr", has=page.locator("code", has_text=re.compile(f"^{name}$")))
+    return float(row.locator("td").nth(1).inner_text().split("±")[0].strip(" ≈").replace("−", "-"))
+
+
+def complaint(page: Page, sentence: str) -> None:
+    expect(page.get_by_text(sentence, exact=False).first).to_be_visible(timeout=A_WHILE)
+
+
+@pytest.fixture
+def cloud(tmp_path):
+    np.savetxt(tmp_path / "cloud.xyz", PETAL.sample(1500, seed=1, noise=0.05).points)
+    return tmp_path / "cloud.xyz"
+
+
+def test_a_cloud_is_fitted_edited_and_taken_home(opened, cloud, tmp_path):
+    upload(opened, cloud)
+    complaint(opened, "cloud.xyz, 1,500 points")
+    choose(opened, "Model", "PeonyPetal")
+    choose(opened, "Pose", "known")
+    fit(opened)
+    assert value(opened, "a_x") == pytest.approx(14.0, abs=0.2)
+    assert value(opened, "dy") == pytest.approx(3.0, abs=0.1)
+    # A slider follows the keyboard, and the petal and its distances follow the slider.
+    thumb = opened.get_by_role("slider").nth(2)
+    thumb.focus()
+    for _ in range(20):
+        thumb.press("ArrowRight")
+    edited = opened.get_by_text("as the sliders say: rms")
+    expect(edited).to_be_visible(timeout=A_WHILE)
+    expect(edited).not_to_have_text(re.compile(r" 1 times the fit's"), timeout=A_WHILE)
+    with opened.expect_download(timeout=A_WHILE) as download:
+        opened.get_by_role("button", name="petal.glb").click()
+    download.value.save_as(tmp_path / "petal.glb")
+    mesh = trimesh.load(tmp_path / "petal.glb", force="mesh")
+    assert len(mesh.vertices) == 65 * 65
+    with opened.expect_download(timeout=A_WHILE) as download:
+        opened.get_by_role("button", name="fit.json").click()
+    download.value.save_as(tmp_path / "fit.json")
+    result = pf.FitResult.load(tmp_path / "fit.json")
+    assert result.values["b_y"] == pytest.approx(22.0, abs=0.2)
+    edited_box, fitted_box = np.ptp(mesh.vertices, axis=0), np.ptp(result.mesh().vertices, axis=0)
+    assert not np.allclose(edited_box, fitted_box, rtol=1e-4)
+
+
+def test_a_mask_and_its_camera_are_fitted(opened, tmp_path):
+    camera = pf.Camera.look_at((30, -40, 70), (0, 12, 0), (256, 256), pixels_per_unit=4.5)
+    smooth = pf.PeonyPetal(a_x=14.0, b_y=22.0, c=0.6, dx=0.4, dy=3.0, rib_amplitude=0.0)
+    smooth.silhouette(camera).save(tmp_path / "mask.png")
+    (tmp_path / "camera.json").write_text(camera_json(camera))
+    upload(opened, tmp_path / "mask.png")
+    complaint(opened, "mask.png, a mask")
+    upload(opened, tmp_path / "camera.json")
+    complaint(opened, "with the camera of camera.json")
+    fit(opened)
+    assert value(opened, "a_x") == pytest.approx(14.0, abs=0.1)
+    assert value(opened, "b_y") == pytest.approx(22.0, abs=0.1)
+
+
+def camera_json(camera: pf.Camera) -> str:
+    import json
+
+    return json.dumps(
+        {
+            "rotation": np.asarray(camera.rotation).tolist(),
+            "pixels_per_unit": 4.5,
+            "centre": camera.project(np.zeros((1, 3)))[0].tolist(),
+            "shape": [256, 256],
+        }
+    )
+
+
+def test_what_cannot_be_used_is_said(opened, cloud, tmp_path):
+    (tmp_path / "notes.docx").write_bytes(b"no petal")
+    upload(opened, tmp_path / "notes.docx")
+    complaint(opened, "notes.docx is of no kind that can be fitted")
+    (tmp_path / "wrong.ply").write_bytes(cloud.read_bytes())
+    upload(opened, tmp_path / "wrong.ply")
+    complaint(opened, "wrong.ply: is damaged, cut short or no .ply file")
+    (tmp_path / "empty.npy").touch()
+    upload(opened, tmp_path / "empty.npy")
+    complaint(opened, "empty.npy is empty")
+    with zipfile.ZipFile(tmp_path / "bomb.npz", "w", zipfile.ZIP_DEFLATED) as bomb:
+        bomb.writestr("points.npy", bytes(300_000_000))
+    upload(opened, tmp_path / "bomb.npz")
+    complaint(opened, "bomb.npz: it unpacks to 300 MB")
+    with (tmp_path / "huge.ply").open("wb") as huge:
+        huge.truncate(500_000_000)
+    upload(opened, tmp_path / "huge.ply")
+    complaint(opened, "huge.ply holds 500 MB; this page takes 100 MB")
+    from PIL import Image
+
+    Image.fromarray(np.full((90, 120, 3), 200, np.uint8)).save(tmp_path / "wall.jpg")
+    upload(opened, tmp_path / "wall.jpg")
+    complaint(opened, "nothing stands out from the border of the photo")
+    # And it goes on.
+    fit(opened)
+
+
+def test_browsers_do_not_disturb_each_other(opened, browser, url, cloud):
+    choose(opened, "Case", "half: the half with x < 0 was not seen")
+    opened.get_by_role("button", name="Fit", exact=True).dblclick()
+    # Somebody else begins a fit and goes away.
+    other = browser.new_page()
+    other.goto(url)
+    expect(other.get_by_role("button", name="Fit", exact=True)).to_be_enabled(timeout=A_WHILE)
+    other.get_by_role("button", name="Fit", exact=True).click()
+    time.sleep(0.2)
+    other.close()
+    expect(opened.get_by_text("converged")).to_be_visible(timeout=A_WHILE)
+    expect(opened.get_by_text("half: the half").first).to_be_attached()
+
+
+def test_a_flower_grows_and_is_taken_home(opened, tmp_path):
+    opened.get_by_role("button", name="Flower", exact=True).click()
+    expect(opened.get_by_text("6 petals, 6 stamens, 1 pistil")).to_be_visible(timeout=A_WHILE)
+    with opened.expect_download(timeout=A_WHILE) as download:
+        opened.get_by_role("button", name="flower.glb").click()
+    download.value.save_as(tmp_path / "flower.glb")
+    scene = trimesh.load(tmp_path / "flower.glb")
+    assert {"petal_1", "petal_6"} <= set(scene.graph.nodes_geometry)
