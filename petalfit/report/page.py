@@ -11,8 +11,6 @@ from collections.abc import Iterator
 import numpy as np
 
 from petalfit import __version__  # pyright: ignore[reportAttributeAccessIssue]  # not lazy
-from petalfit.components import parameters
-from petalfit.fitting import result as results
 from petalfit.fitting.result import Agreement, FitResult
 from petalfit.observations import PointCloud, Silhouette
 from petalfit.observations.atomic import atomic_path
@@ -25,25 +23,28 @@ from petalfit.report.charts import (
 )
 from petalfit.report.colour import IGNORED, POINT, css
 from petalfit.report.overlay import Overlay
+from petalfit.report.provenance import named, provenance
 from petalfit.report.rounding import count, listed, plain
 from petalfit.report.scene import BASE, OBLIQUE, SIDE, Scene, distance_limit, draw_map, draw_view
 from petalfit.report.tables import (
     correlation_table,
     families_table,
     parameter_table,
-    provenance_list,
+    pose_table,
     starts_table,
 )
+from petalfit.report.viewer import fingerprint, script, viewer
 
 # Pixels, of which a page's pixel has two.
 _WIDE, _NARROW, _MAP = 960, 880, 680
 
 
 def write_report(result: FitResult, path: str | os.PathLike[str]) -> None:
-    """Write a fit as one HTML page: table, pictures, distances, starts, correlations, provenance.
+    """Write a fit as one HTML page: table, 3-D view, distances, starts, correlations, provenance.
 
     The page needs no network and no other file, suits light and dark screens, phones and paper, and
-    is the same to the byte for the same result. It is written whole or not at all.
+    is the same to the byte for the same result. Where there are no scripts or no WebGL, and on paper,
+    the 3-D view is a picture. It is written whole or not at all.
 
     Args:
         result: The fit.
@@ -66,21 +67,32 @@ def _page(result: FitResult) -> str:
         "<h2>Parameters</h2>",
         parameter_table(result),
         _table_notes(result),
+        pose_table(result),
         *_pictures(result),
         *_profiles(result),
         '<div class="pair">',
         _correlations(result),
-        _provenance(result),
+        provenance(result),
         "</div>",
     ]
+    content = "\n".join(filter(None, body))
+    program = script() if 'class="viewer"' in content else ""
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f'<meta name="generator" content="petalfit {__version__}">\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{_policy(program)}">\n'
         f"<title>{kind} fit · petalfit</title>\n<style>\n{style}</style>\n</head>\n<body>\n<main>\n"
-        + "\n".join(body)
-        + "\n</main>\n</body>\n</html>\n"
+        f"{content}\n</main>\n"
+        + (f"<script>{program}</script>\n" if program else "")
+        + "</body>\n</html>\n"
     )
+
+
+def _policy(program: str) -> str:
+    """What a browser may do with the page: show what is in it, and run our script and no other."""
+    scripts = f"'{fingerprint(program)}'" if program else "'none'"
+    return f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src {scripts}"
 
 
 def _status(result: FitResult) -> tuple[str, str]:
@@ -107,7 +119,7 @@ def _head(result: FitResult) -> str:
         suffix = f" <small>{number}</small>" if len(parts) > 1 else ""
         facts |= {f"{key}{suffix}": value for key, value in part_facts.items()}
     facts["determined parameters"] = f"{known} <small>of {len(result.names)} free</small>"
-    what = listed([_named(part) for part in result.agreements])
+    what = listed([named(part) for part in result.agreements])
     lead = " ".join(sentence for sentence, _ in parts)
     return (
         f'<p class="eyebrow">petalfit · fit report</p>\n<h1>{kind} fitted to '
@@ -117,13 +129,6 @@ def _head(result: FitResult) -> str:
         + "".join(f"<div><dt>{key}</dt><dd>{value}</dd></div>" for key, value in facts.items())
         + "</dl>"
     )
-
-
-def _named(part: Agreement) -> str:
-    if isinstance(part.target, PointCloud):
-        return count(int(np.count_nonzero(part.used)), "point")
-    rows, columns = part.target.mask.shape
-    return f"a mask of {columns} × {rows} pixels"
 
 
 def _described(part: Agreement) -> tuple[str, dict[str, str]]:
@@ -213,11 +218,14 @@ def _table_notes(result: FitResult) -> str:
 def _pictures(result: FitResult) -> Iterator[str]:
     clouds = [part for part in result.agreements if isinstance(part.target, PointCloud)]
     yield "<h2>Target and fit</h2>"
-    for part in clouds or [None]:
-        yield _views(Scene.of(result, part), len(part.distances) if part else 0)
+    parts = clouds or [None]
+    scenes = [Scene.of(result, part) for part in parts]
+    yield viewer(result, scenes, parts) or ""
+    for scene, part in zip(scenes, parts, strict=True):
+        yield _views(scene, len(part.distances) if part else 0)
     yield "<h2>Distances</h2>"
-    for part in clouds:
-        yield _map(Scene.of(result, part), part)
+    for scene, part in zip(scenes, clouds, strict=False):
+        yield _map(scene, part)
     for part in result.agreements:
         if isinstance(part.target, Silhouette):
             yield _contour(result, part)
@@ -321,40 +329,3 @@ def _correlations(result: FitResult) -> str:
         f"tells a combination of the two better than either.</p>{heat}"
     )
     return f"<section><h2>Correlations</h2>{text}</section>"
-
-
-def _unit(part: Agreement) -> str:
-    return " px" if part.unit == "px" else ""
-
-
-def _provenance(result: FitResult) -> str:
-    pose, kind = result.pose, html.escape(type(result.model).__name__)
-    rotation = "<br>".join(
-        " ".join(f"{number:+.6f}" for number in row) for row in pose.rotation.tolist()
-    )
-    moved = pose.scale != 1.0 or pose.translation.any() or (pose.rotation != np.eye(3)).any()
-    rows = {
-        "model": kind,
-        "status": html.escape(result.status),
-        "message": html.escape(result.message),
-        "targets": listed([_named(part) for part in result.agreements]),
-        "rms distance": ", ".join(f"{part.rms!r}{_unit(part)}" for part in result.agreements),
-        "noise σ": ", ".join(f"{part.noise!r}{_unit(part)}" for part in result.agreements),
-    }
-    if not moved:
-        rows["pose"] = "the target is in the model's frame"
-    else:
-        rows["scale"] = f"{pose.scale!r}"
-        rows["rotation"] = f"<code>{rotation}</code>"
-        rows["translation"] = ", ".join(map(repr, pose.translation.tolist()))
-    if result.timings:
-        rows["seconds"] = ", ".join(f"{name} {x:.2g}" for name, x in result.timings.items())
-    rows["petalfit"] = __version__
-    rows["file format"] = f"{results.FORMAT}, version {results.VERSION}"
-    values = ((name, result.values[name]) for name in parameters(result.model))
-    arguments = "\n".join(f"    {name}={value!r}," for name, value in values)
-    call = html.escape(f"petalfit.{type(result.model).__name__}(\n{arguments}\n)")
-    return (
-        f'<section class="provenance"><h2>Provenance</h2>{provenance_list(rows)}'
-        f"<details><summary>The fitted model as code</summary><pre>{call}</pre></details></section>"
-    )
