@@ -21,11 +21,12 @@ from petalfit.report.charts import (
     profile_chart,
     view_chart,
 )
-from petalfit.report.colour import IGNORED, POINT, css
+from petalfit.report.colour import POINT, css
 from petalfit.report.overlay import Overlay
 from petalfit.report.provenance import named, provenance
 from petalfit.report.rounding import count, listed, plain
 from petalfit.report.scene import BASE, OBLIQUE, SIDE, Scene, distance_limit, draw_map, draw_view
+from petalfit.report.swatch import ignored, swatch
 from petalfit.report.tables import (
     correlation_table,
     families_table,
@@ -115,10 +116,13 @@ def _head(result: FitResult) -> str:
     parts = [_described(part) for part in result.agreements]
     known = sum(result.identifiable.values())
     facts = {}
-    for number, (_, part_facts) in enumerate(parts, 1):
-        suffix = f" <small>{number}</small>" if len(parts) > 1 else ""
+    for (_, part_facts), name in zip(parts, _short_names(result), strict=True):
+        suffix = f", {name}" if len(parts) > 1 else ""
         facts |= {f"{key}{suffix}": value for key, value in part_facts.items()}
-    facts["determined parameters"] = f"{known} <small>of {len(result.names)} free</small>"
+    if result.names:
+        facts["determined parameters"] = f"{known} <small>of {len(result.names)} free</small>"
+    else:
+        facts["effective parameters"] = f"{plain(result.freedom)} <small>none has a name</small>"
     what = listed([named(part) for part in result.agreements])
     lead = " ".join(sentence for sentence, _ in parts)
     return (
@@ -129,6 +133,17 @@ def _head(result: FitResult) -> str:
         + "".join(f"<div><dt>{key}</dt><dd>{value}</dd></div>" for key, value in facts.items())
         + "</dl>"
     )
+
+
+def _short_names(result: FitResult) -> list[str]:
+    """Of every target: cloud, or mask 1 and mask 2 if there are several."""
+    kinds = [
+        "mask" if isinstance(part.target, Silhouette) else "cloud" for part in result.agreements
+    ]
+    return [
+        kind if kinds.count(kind) == 1 else f"{kind} {kinds[: i + 1].count(kind)}"
+        for i, kind in enumerate(kinds)
+    ]
 
 
 def _described(part: Agreement) -> tuple[str, dict[str, str]]:
@@ -198,10 +213,15 @@ def _grouped(result: FitResult) -> Iterator[str]:
 
 def _table_notes(result: FitResult) -> str:
     notes = [
-        "Errors are one standard deviation, all other free parameters being free; intervals take "
-        "them as Gaussian.",
-        "The line on the right is the parameter's typical range, with its value and interval.",
+        '<span class="of-strips">The line on the right is the parameter\'s typical range, with its '
+        "value and interval.</span>"
     ]
+    if result.names:
+        notes.insert(
+            0,
+            "Errors are one standard deviation, all other free parameters being free; intervals take "
+            "them as Gaussian.",
+        )
     if not all(result.identifiable.values()):
         notes.append(
             "<strong>Not determined</strong>: the target leaves the parameter an error above 0.3 "
@@ -240,15 +260,15 @@ def _views(scene: Scene, total: int) -> str:
     side, base = (draw_view(scene, view, _WIDE, (0.25, 0.7)) for view in (SIDE, BASE))
     dots = ""
     if total:
-        dots = f" and {_share(oblique.drawn, total)} as {_swatch(POINT)} dots{_ignored(scene)}"
+        dots = f" and {_share(oblique.drawn, total)} as {swatch(css(POINT))} dots{ignored(scene)}"
     hidden = " Points behind the surface are hidden by it." if total else ""
     return (
         '<div class="views">'
         f'<figure class="tall">{view_chart(oblique)}<figcaption>The fitted surface{dots}, from an '
-        f"oblique direction.{hidden} Axes are the petal's: "
+        f"oblique direction.{hidden} Axes are the model's: "
         "x across, y along, z normal; bars are in the target's unit.</figcaption></figure>"
         f"<figure>{view_chart(side)}<figcaption>From the side.</figcaption></figure>"
-        f"<figure>{view_chart(base)}<figcaption>From the base, along the petal.</figcaption>"
+        f"<figure>{view_chart(base)}<figcaption>From the base.</figcaption>"
         "</figure></div>"
     )
 
@@ -258,9 +278,9 @@ def _map(scene: Scene, part: Agreement) -> str:
     picture = draw_map(scene, limit, _MAP)
     return (
         f'<div class="pair"><figure>{map_chart(picture, scene, limit, part.noise)}<figcaption>'
-        f"The fitted outline and {_share(picture.drawn, len(part.distances))} in the plane of the "
-        "petal, coloured by signed distance, positive on the side of the normal"
-        f"{_ignored(scene)}. Noise alone shows no pattern here.</figcaption></figure>"
+        f"The fitted outline and {_share(picture.drawn, len(part.distances))} from the front, "
+        "coloured by signed distance, positive on the side of the normal"
+        f"{ignored(scene)}. Noise alone shows no pattern here.</figcaption></figure>"
         f"<div>{_histogram(part)}</div></div>"
     )
 
@@ -312,15 +332,9 @@ def _share(drawn: int, total: int) -> str:
     return f"{drawn:,} of {count(total, 'point')}, chosen at random,"
 
 
-def _swatch(rgb: np.ndarray) -> str:
-    return f'<span class="swatch" style="background:{css(rgb)}"></span>'
-
-
-def _ignored(scene: Scene) -> str:
-    return "" if scene.used.all() else f" ({_swatch(IGNORED)} without weight or taken for strays)"
-
-
 def _correlations(result: FitResult) -> str:
+    if not result.names:
+        return ""
     heat = correlation_table(result)
     text = (
         "<p>Fewer than two parameters are determined: there is nothing to correlate.</p>"

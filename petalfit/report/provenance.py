@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 import html
 
+import equinox as eqx
 import numpy as np
 
-from petalfit.components import parameters
 from petalfit.fitting import result as results
 from petalfit.fitting.result import Agreement, FitResult
 from petalfit.observations import PointCloud
@@ -21,13 +22,21 @@ def named(part: Agreement) -> str:
     return f"a mask of {columns} × {rows} pixels"
 
 
+def _whole(part: Agreement) -> str:
+    """What was given."""
+    total, used = part.distances.size, int(np.count_nonzero(part.used))
+    if not isinstance(part.target, PointCloud) or total == used:
+        return named(part)
+    return f"{count(total, 'point')} ({used:,} of them used)"
+
+
 def provenance(result: FitResult) -> str:
     """The section of the page."""
     rows = {"made by": html.escape(result.made_by)}
     if result.command:
         rows["command"] = f"<code>{html.escape(result.command)}</code>"
     rows |= {
-        "input": listed([named(part) for part in result.agreements]),
+        "input": listed([_whole(part) for part in result.agreements]),
         "its SHA-256": f"<code>{result.input_hash}</code>",
         "model": html.escape(type(result.model).__name__),
         "status": html.escape(result.status),
@@ -44,8 +53,7 @@ def provenance(result: FitResult) -> str:
     )
     return (
         f'<section class="provenance"><h2>Provenance</h2><dl>{terms}</dl>'
-        f"<details><summary>The fitted model as code</summary><pre>{_call(result)}</pre></details>"
-        "</section>"
+        f"{_details(result.model)}</section>"
     )
 
 
@@ -67,8 +75,27 @@ def _pose(result: FitResult) -> dict[str, str]:
     }
 
 
-def _call(result: FitResult) -> str:
-    arguments = "\n".join(
-        f"    {name}={result.values[name]!r}," for name in parameters(result.model)
-    )
-    return html.escape(f"petalfit.{type(result.model).__name__}(\n{arguments}\n)")
+def _code(model: eqx.Module, depth: int = 1) -> str | None:
+    """A call that makes the model, as text; None of a model with arrays, which are too long to read."""
+    lines = []
+    for field in dataclasses.fields(model):
+        value = getattr(model, field.name)
+        if isinstance(value, eqx.Module):
+            text = _code(value, depth + 1)
+        elif field.metadata.get("static"):
+            text = repr(value)
+        else:
+            text = repr(float(value)) if np.ndim(value) == 0 else None
+        if text is None:
+            return None
+        lines.append(f"{'    ' * depth}{field.name}={text},\n")
+    name, indent = type(model).__name__, "    " * (depth - 1)
+    return f"petalfit.{name}(\n{''.join(lines)}{indent})"
+
+
+def _details(model: eqx.Module) -> str:
+    code = _code(model)
+    if code is None:
+        return ""
+    code = html.escape(code)
+    return f"<details><summary>The fitted model as code</summary><pre>{code}</pre></details>"

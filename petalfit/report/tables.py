@@ -18,7 +18,7 @@ _MOST_STARTS = 12
 _POSE = {
     "scale": ("–", "one unit of the model, in the target's"),
     "shift": ("length", "where the model's origin lies in the target's frame"),
-    "turn": ("rad", "of the rotation below, about the model's own axis"),
+    "turn": ("rad", "about the model's {axis} axis; the rotation is under Provenance"),
 }
 _NOT_DETERMINED = "is not determined by this target"
 
@@ -56,7 +56,7 @@ def _parameter_row(
     value, error = result.values[name], result.stderr.get(name, math.nan)
     known = result.identifiable.get(name, False)
     if interval is None:
-        kind, shown, reach = "fixed", _data(value, f"{value:.10g}".replace("-", "−")), "fixed"
+        kind, shown, reach = "fixed", _data(value, f"{value + 0.0:.10g}".replace("-", "−")), "fixed"
     elif not known:
         kind, shown = "unknown", f"≈ {_data(value, plain(value))}"
         reach = "<strong>not determined</strong>"
@@ -76,7 +76,7 @@ def _parameter_row(
         f'<tr class="{kind}"><th scope="row"><code>{html.escape(name)}</code> {_symbol(parameter)}'
         f'<span class="meaning">{html.escape(parameter.meaning)}</span></th>'
         f'<td class="value">{shown}{"".join(notes)}</td><td class="reach">{reach}</td>'
-        f'<td class="unit">{html.escape(unit)}</td>'
+        f"{_unit(unit)}"
         f'<td class="strip">{range_chart(value, interval, parameter.typical)}</td></tr>'
     )
 
@@ -91,7 +91,8 @@ def pose_table(result: FitResult, level: float = 0.95) -> str | None:
     }
     rows = []
     for name, error in result.pose_stderr.items():
-        unit, meaning = _POSE[name.partition("_")[0]]
+        kind, _, axis = name.partition("_")
+        unit, meaning = _POSE[kind]
         shown, reach = f"± {plain(error, 2)}", f"± {plain(quantile(level) * error, 2)}"
         if name in values:
             rounded, rounded_error = measured(values[name], error)
@@ -99,13 +100,18 @@ def pose_table(result: FitResult, level: float = 0.95) -> str | None:
             ends = (values[name] + side * quantile(level) * error for side in (-1, 1))
             reach = " to ".join(fixed(end, decimals_of(error)) for end in ends)
         rows.append(
-            f'<tr class="known"><th scope="row"><code>{name}</code><span class="meaning">{meaning}'
+            f'<tr class="known"><th scope="row"><code>{name}</code><span class="meaning">'
+            f"{meaning.format(axis=axis)}"
             f'</span></th><td class="value">{shown}</td><td class="reach">{reach}</td>'
-            f'<td class="unit">{unit}</td><td class="strip"></td></tr>'
+            f'{_unit(unit)}<td class="strip"></td></tr>'
         )
     return (
         f"<h3>Pose</h3>{_parameter_head(level, strip='')}" + "\n".join(rows) + "\n</tbody></table>"
     )
+
+
+def _unit(unit: str) -> str:
+    return f'<td class="unit{" none" if unit == "–" else ""}">{html.escape(unit)}</td>'
 
 
 def _data(value: float, text: str) -> str:

@@ -66,11 +66,11 @@ const FLAT = [`${PLACE}
   attribute vec3 colour; uniform float size; varying vec3 paint;
   void main() { paint = colour; gl_PointSize = size; gl_Position = place(); }`, `
   precision mediump float;
-  uniform bool disc; varying vec3 paint;
+  uniform bool disc; uniform float rim; varying vec3 paint;
   void main() {
     float radius = disc ? 2.0 * length(gl_PointCoord - 0.5) : 0.0;
     if (radius > 1.0) discard;
-    gl_FragColor = vec4(mix(paint, 0.3 * paint + 0.7, smoothstep(0.62, 0.78, radius)), 1.0);
+    gl_FragColor = vec4(mix(paint, 0.3 * paint + 0.7, rim * smoothstep(0.6, 0.75, radius)), 1.0);
   }`];
 
 function program(gl, sources) {
@@ -115,11 +115,13 @@ function drawings(gl, scene, centre, radius) {
     const position = places(part, centre), at = buffer(gl, position);
     if (!part.grid) {
       const colour = buffer(gl, dotColours(part, colours));
-      found.push({ name: part.name, position, framed: Boolean(part.value), lift: 0.02 * radius, ...flat, draw(set, view) {
+      found.push({ name: part.name, lift: 0.02 * radius, ...flat, draw(set, view) {
         bind(0, at);
         bind(1, colour);
         set("disc", 1);
-        set("size", view.dot(part.count));
+        const dot = Math.min(Math.max(0.3 * part.spacing * view.scale, 1.3), 4); // its radius in pixels
+        set("size", 2 * dot * view.ratio);
+        set("rim", Math.min(Math.max(dot - 1.6, 0), 1));
         gl.drawArrays(gl.POINTS, 0, part.count);
       } });
       continue;
@@ -138,7 +140,7 @@ function drawings(gl, scene, centre, radius) {
       }
     }
     const spines = buffer(gl, Float32Array.from(needles));
-    found.push({ name: part.name, position, framed: true, lift: 0, ...sheet, draw(set) {
+    found.push({ name: part.name, lift: 0, ...sheet, draw(set) {
       set("front", colours.front);
       set("rear", colours.rear);
       set("light", light);
@@ -148,7 +150,7 @@ function drawings(gl, scene, centre, radius) {
         bind(1, facing, 12 * k * each);
         gl.drawElements(gl.TRIANGLES, triangles.length, gl.UNSIGNED_SHORT, 0);
       }
-    } }, { name: "grid lines", lift: 0.004 * radius, ...flat, draw(set, view) {
+    } }, { name: "grid lines", lift: 0.01 * radius, ...flat, draw(set, view) {
       set("disc", 0);
       paint(view.ink);
       gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, mesh);
@@ -156,7 +158,7 @@ function drawings(gl, scene, centre, radius) {
         bind(0, at, 12 * k * each);
         gl.drawElements(gl.LINES, lines.length, gl.UNSIGNED_SHORT, 0);
       }
-    } }, { name: "normals", lift: 0.004 * radius, ...flat, draw(set, view) {
+    } }, { name: "normals", lift: 0.01 * radius, ...flat, draw(set, view) {
       set("disc", 0);
       paint(view.accent);
       bind(0, spines);
@@ -166,49 +168,39 @@ function drawings(gl, scene, centre, radius) {
   return found;
 }
 
-const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+// The distance of the farthest of some places.
+function reach(position) {
+  let most = 0;
+  for (let i = 0; i < position.length; i += 3) most = Math.max(most, Math.hypot(...position.subarray(i, i + 3)));
+  return most;
+}
 
 // Makes `root` a viewer of `scene`, and shows it; without WebGL it leaves everything as it is.
 function petalfitViewer(root, scene) {
   const canvas = root.querySelector("canvas"), gl = canvas.getContext("webgl", { antialias: true });
   if (!gl) return;
   const low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
-  for (const { position, grid, value } of scene.parts) {
-    if (!grid && !value) continue;
+  const framed = scene.parts.filter(({ grid, value }) => grid || value);
+  for (const { position } of framed) {
     position.low.forEach((least, i) => {
       low[i] = Math.min(low[i], least);
       high[i] = Math.max(high[i], least + position.size[i]);
     });
   }
   const centre = low.map((least, i) => 0.5 * (least + high[i]));
-  const radius = 0.5 * Math.hypot(...low.map((least, i) => high[i] - least)) || 1;
+  const radius = Math.max(...framed.map((part) => reach(places(part, centre)))) || 1;
   const drawn = drawings(gl, scene, centre, radius);
-  let depth = radius;
-  for (const { position = [] } of drawn) {
-    for (let i = 0; i < position.length; i += 3) depth = Math.max(depth, Math.hypot(position[i], position[i + 1], position[i + 2]));
-  }
-  let axes, middle, span, zoom, pending = false;
+  const depth = Math.max(...scene.parts.map((part) => reach(places(part, centre))), radius);
+  let axes, middle, zoom, pending = false;
 
-  const pixels = () => zoom * 0.9 * Math.min(canvas.clientWidth / span[0], canvas.clientHeight / span[1]);
+  const pixels = () => (zoom * 0.48 * Math.min(canvas.clientWidth, canvas.clientHeight)) / radius; // per unit
   const refresh = () => {
     if (!pending) requestAnimationFrame(draw);
     pending = true;
   };
   const look = (rows) => {
     axes = rows.map((row) => [...row]);
-    const least = [Infinity, Infinity], most = [-Infinity, -Infinity];
-    for (const { position, framed } of drawn) {
-      for (let i = 0; framed && i < position.length; i += 3) {
-        const point = position.subarray(i, i + 3);
-        for (let k = 0; k < 2; k++) {
-          const seen = dot(axes[k], point);
-          least[k] = Math.min(least[k], seen);
-          most[k] = Math.max(most[k], seen);
-        }
-      }
-    }
-    middle = [0, 1].map((k) => 0.5 * (least[k] + most[k]));
-    span = [0, 1].map((k) => Math.max(most[k] - least[k], 1e-3 * radius));
+    middle = [0, 0];
     zoom = 1;
     refresh();
   };
@@ -248,8 +240,7 @@ function petalfitViewer(root, scene) {
     const scale = [(2 * pixels()) / width, (2 * pixels()) / height, 0.9 / depth];
     const turn = [0, 1, 2].flatMap((i) => axes.map((row) => row[i]));
     const style = getComputedStyle(canvas); // lines take the page's colours, light or dark
-    const view = { ink: rgb(style.color), accent: rgb(style.caretColor), dot: (count) =>
-      2 * ratio * Math.min(Math.max(0.14 * Math.sqrt((width * height) / count), 1.2), 3) * Math.sqrt(Math.max(zoom, 1)) };
+    const view = { ink: rgb(style.color), accent: rgb(style.caretColor), ratio, scale: pixels() };
     for (const { name, made, uniforms, lift, draw: paint } of drawn) {
       if (!shown(name)) continue;
       gl.useProgram(made);
@@ -257,7 +248,8 @@ function petalfitViewer(root, scene) {
       gl.uniform2fv(uniforms.middle, middle);
       gl.uniform3fv(uniforms.scale, scale);
       gl.uniform1f(uniforms.lift, lift);
-      paint((key, value) => Array.isArray(value) ? gl.uniform3fv(uniforms[key], value) : gl[key === "disc" ? "uniform1i" : "uniform1f"](uniforms[key], value), view);
+      const set = (key, x) => (Array.isArray(x) ? gl.uniform3fv(uniforms[key], x) : gl.uniform1f(uniforms[key], x));
+      paint(set, view);
     }
     annotate(width);
   }
@@ -268,7 +260,7 @@ function petalfitViewer(root, scene) {
       line.setAttribute("y2", y);
       label.setAttribute("x", 1.4 * x);
       label.setAttribute("y", 1.4 * y);
-      axis.style.opacity = Math.hypot(x, y) < 5 ? 0 : 1;
+      axis.style.opacity = Math.hypot(x, y) < 8 ? 0 : 1;
     });
     const most = Math.min(0.25 * width, 140) / pixels(), power = 10 ** Math.floor(Math.log10(most));
     const length = [5, 2, 1].find((m) => m * power <= most * (1 + 1e-9)) * power;

@@ -18,6 +18,7 @@ from petalfit.observations import Silhouette
 from petalfit.report.colour import FRONT, IGNORED, NEGATIVE, POSITIVE, REAR, ZERO, css
 from petalfit.report.rounding import count, plain
 from petalfit.report.scene import BASE, FACE, LIGHT, OBLIQUE, SIDE, Scene, View, distance_limit
+from petalfit.report.swatch import ignored, swatch
 
 # Of all clouds together. A point takes 7 bytes.
 _POINTS = 20_000
@@ -46,10 +47,10 @@ def viewer(
     clouds = [(scene, part) for scene, part in zip(scenes, parts, strict=True) if part is not None]
     # Of several clouds the widest scale, so that one colour is one distance.
     limit = max((distance_limit(part) for _, part in clouds), default=0.0)
-    shown = [_sheets(scenes[0])]
+    shown, area = [_sheets(scenes[0])], _area(scenes[0].vertices)
     each = _POINTS // max(len(clouds), 1)
     for number, (scene, _) in enumerate(clouds, 1):
-        shown += _dots(scene, each, limit, f" {number}" if len(clouds) > 1 else "")
+        shown += _dots(scene, each, limit, area, f" {number}" if len(clouds) > 1 else "")
     views = _views(result, bool(clouds))
     content = {
         "colours": {
@@ -62,12 +63,13 @@ def viewer(
     }  # fmt: skip
     data = json.dumps(content, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     noise = clouds[0][1].noise if len(clouds) == 1 else 0.0
+    unit = "pixels" if "scale" in result.values else "the target's unit"
     return (
         '<figure class="viewer" hidden><div class="stage">'
         f'<canvas tabindex="0" role="application" aria-label="{_LABEL}"></canvas>'
         f'{_GIZMO}<span class="scale"></span></div>\n<div class="controls">'
         f"{_switches(shown)}{_colour_bar(limit, noise) if clouds else ''}{_buttons(views)}</div>\n"
-        f"<figcaption>{_caption(scenes[0], clouds, each)} {_HINT}</figcaption>"
+        f"<figcaption>{_caption(scenes[0], clouds, each)} The bar is in {unit}. {_HINT}</figcaption>"
         f'<script type="application/json">{data}</script></figure>'
     )
 
@@ -98,8 +100,19 @@ def _sheets(scene: Scene) -> dict[str, Any]:
     }
 
 
-def _dots(scene: Scene, most: int, limit: float, suffix: str) -> list[dict[str, Any]]:
+def _area(vertices: Float[np.ndarray, "k n_u n_v 3"]) -> float:
+    """Of all sheets, cell by cell."""
+    diagonals = (
+        vertices[:, 1:, 1:] - vertices[:, :-1, :-1],
+        vertices[:, 1:, :-1] - vertices[:, :-1, 1:],
+    )
+    return float(0.5 * np.linalg.norm(np.cross(*diagonals), axis=-1).sum())
+
+
+def _dots(scene: Scene, most: int, limit: float, area: float, suffix: str) -> list[dict[str, Any]]:
     """Points with their distances in units of the limit, and those without weight apart."""
+    # What lies between points that are spread over the surface: dots of its size leave some of it to see.
+    spacing = (area / max(len(scene.points[:most]), 1)) ** 0.5
     points, used = scene.points[:most], scene.used[:most]
     values = np.clip(np.nan_to_num(scene.distances[:most][used] / limit), -1, 1)
     found: list[dict[str, Any]] = []
@@ -108,12 +121,17 @@ def _dots(scene: Scene, most: int, limit: float, suffix: str) -> list[dict[str, 
             {
                 "name": f"points{suffix}",
                 "count": int(used.sum()),
+                "spacing": spacing,
                 "position": _packed(points[used]),
                 "value": _base64(np.rint(_SIGNED * values).astype(np.int8)),
             }
         )
     if not used.all():
-        without = {"count": int((~used).sum()), "position": _packed(points[~used])}
+        without = {
+            "count": int((~used).sum()),
+            "spacing": spacing,
+            "position": _packed(points[~used]),
+        }
         found.append({"name": f"ignored points{suffix}", **without})
     return found
 
@@ -139,7 +157,7 @@ def _views(result: FitResult, clouds: bool) -> list[View]:
     ]
     seen = [
         View(
-            f"camera {number}" if len(cameras) > 1 else "as the camera",
+            f"camera {number}" if len(cameras) > 1 else "camera",
             # A camera's axes point right, down and forward, in the target's frame.
             np.array([[1.0], [-1.0], [-1.0]]) * camera.rotation @ np.asarray(result.pose.rotation),
         )
@@ -153,15 +171,15 @@ def _switches(parts: Sequence[dict[str, Any]]) -> str:
     scale = f"linear-gradient(90deg, {css(NEGATIVE)}, {css(ZERO)}, {css(POSITIVE)})"
     rows = []
     for part in parts:
-        swatch = swatches.get(part["name"], scale if "value" in part else css(IGNORED))
-        rows.append(_switch(part["name"], "checked", swatch))
+        colour = swatches.get(part["name"], scale if "value" in part else css(IGNORED))
+        rows.append(_switch(part["name"], "checked", colour))
     rows += [_switch("grid lines", "", "var(--grid)"), _switch("normals", "", "var(--accent)")]
     return f'<fieldset class="switches"><legend>Show</legend>{"".join(rows)}</fieldset>'
 
 
-def _switch(name: str, checked: str, swatch: str) -> str:
+def _switch(name: str, checked: str, colour: str) -> str:
     box = f'<input type="checkbox" name="{name}" autocomplete="off" {checked}>'
-    return f'<label>{box}<span class="swatch" style="background:{swatch}"></span>{name}</label>'
+    return f"<label>{box}{swatch(colour)}{name}</label>"
 
 
 def _colour_bar(limit: float, noise: float) -> str:
@@ -203,7 +221,7 @@ def _caption(scene: Scene, clouds: Sequence[tuple[Scene, Agreement]], each: int)
         which = f"{drawn:,} of {count(total, 'point')}, chosen at random,"
     return (
         f"The fitted {sheets} and {which} coloured by signed distance, positive on the side of the "
-        "normal."
+        f"normal{''.join({ignored(scene) for scene, _ in clouds})}."
     )
 
 
