@@ -158,7 +158,7 @@ def _described(part: Agreement) -> tuple[str, dict[str, str]]:
         )
         return sentence, {
             "pixels": f"{columns} × {rows}",
-            "covered": f"{round(part.target.area):,}",
+            "covered pixels": f"{round(part.target.area):,}",
             "rms distance": f"{plain(part.rms)} px",
             "noise σ": f"{plain(part.noise)} px",
         }
@@ -240,15 +240,18 @@ def _pictures(result: FitResult) -> Iterator[str]:
     yield "<h2>Target and fit</h2>"
     parts = clouds or [None]
     scenes = [Scene.of(result, part) for part in parts]
-    yield viewer(result, scenes, parts) or ""
-    for scene, part in zip(scenes, parts, strict=True):
-        yield _views(scene, len(part.distances) if part else 0)
-    yield "<h2>Distances</h2>"
-    for scene, part in zip(scenes, clouds, strict=False):
-        yield _map(scene, part)
-    for part in result.agreements:
-        if isinstance(part.target, Silhouette):
-            yield _contour(result, part)
+    if all(scene.finite for scene in scenes):
+        yield viewer(result, scenes, parts)
+        for scene, part in zip(scenes, parts, strict=True):
+            yield _views(scene, len(part.distances) if part else 0)
+        yield "<h2>Distances</h2>"
+        for scene, part in zip(scenes, clouds, strict=False):
+            yield _map(scene, part)
+        for part in result.agreements:
+            if isinstance(part.target, Silhouette):
+                yield _contour(result, part)
+    else:
+        yield "<p>There are no pictures: the fitted surface is not finite.</p>"
     if result.ranking:
         yield f"<h2>Families</h2>{families_table(result)}"
     if result.starts:

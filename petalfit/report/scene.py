@@ -61,6 +61,11 @@ class Scene:
         )
 
     @property
+    def finite(self) -> bool:
+        """Whether it can be drawn: a fit that failed may end with anything."""
+        return bool(np.isfinite(self.vertices).all() and np.isfinite(self.points).all())
+
+    @property
     def outlines(self) -> list[Float[np.ndarray, "l 3"]]:
         """The edge of every sheet, once around."""
         return [

@@ -241,7 +241,7 @@ function petalfitViewer(root, scene) {
     const turn = [0, 1, 2].flatMap((i) => axes.map((row) => row[i]));
     const style = getComputedStyle(canvas); // lines take the page's colours, light or dark
     const view = { ink: rgb(style.color), accent: rgb(style.caretColor), ratio, scale: pixels() };
-    for (const { name, made, uniforms, lift, draw: paint } of drawn) {
+    for (const { name, made, uniforms, lift, draw: render } of drawn) {
       if (!shown(name)) continue;
       gl.useProgram(made);
       gl.uniformMatrix3fv(uniforms.turn, false, turn);
@@ -249,7 +249,7 @@ function petalfitViewer(root, scene) {
       gl.uniform3fv(uniforms.scale, scale);
       gl.uniform1f(uniforms.lift, lift);
       const set = (key, x) => (Array.isArray(x) ? gl.uniform3fv(uniforms[key], x) : gl.uniform1f(uniforms[key], x));
-      paint(set, view);
+      render(set, view);
     }
     annotate(width);
   }
@@ -270,7 +270,12 @@ function petalfitViewer(root, scene) {
   }
 
   const fingers = new Map();
+  const fromMiddle = (x, y) => {
+    const box = canvas.getBoundingClientRect();
+    return [x - (box.left + box.right) / 2, y - (box.top + box.bottom) / 2];
+  };
   canvas.addEventListener("pointerdown", (event) => {
+    if (event.button) return;
     canvas.setPointerCapture(event.pointerId);
     fingers.set(event.pointerId, [event.clientX, event.clientY]);
   });
@@ -281,25 +286,28 @@ function petalfitViewer(root, scene) {
     const other = [...fingers].find(([id]) => id !== event.pointerId);
     fingers.set(event.pointerId, now);
     if (other) {
-      const [x, y] = other[1], box = canvas.getBoundingClientRect();
+      const [x, y] = other[1];
       const factor = Math.hypot(now[0] - x, now[1] - y) / Math.max(Math.hypot(before[0] - x, before[1] - y), 1);
       move(step[0] / 2, step[1] / 2);
-      enlarge(factor, (now[0] + x - box.left - box.right) / 2, (now[1] + y - box.top - box.bottom) / 2);
+      enlarge(factor, ...fromMiddle((now[0] + x) / 2, (now[1] + y) / 2));
     } else if (event.shiftKey) move(...step);
     else orbit(0.01 * step[0], 0.01 * step[1]);
   });
-  for (const end of ["pointerup", "pointercancel"]) canvas.addEventListener(end, (event) => fingers.delete(event.pointerId));
+  for (const end of ["pointerup", "pointercancel"]) {
+    canvas.addEventListener(end, (event) => fingers.delete(event.pointerId));
+  }
   canvas.addEventListener("wheel", (event) => {
     // A page that scrolls under the pointer is not held up: the wheel is ours once the picture was clicked.
     if (document.activeElement !== canvas && !event.ctrlKey) return;
     event.preventDefault();
-    const box = canvas.getBoundingClientRect(), lines = event.deltaMode === 1 ? 30 : 1;
-    enlarge(Math.exp(-0.0015 * lines * event.deltaY), event.clientX - (box.left + box.right) / 2, event.clientY - (box.top + box.bottom) / 2);
+    const down = event.deltaY * (event.deltaMode === 1 ? 30 : 1); // lines, or pixels
+    enlarge(Math.exp(-0.0015 * down), ...fromMiddle(event.clientX, event.clientY));
   }, { passive: false });
   const home = () => look(scene.views[0].axes), turned = 0.1;
   const keys = {
-    ArrowLeft: () => orbit(-turned, 0), ArrowRight: () => orbit(turned, 0), ArrowUp: () => orbit(0, -turned),
-    ArrowDown: () => orbit(0, turned), "+": () => enlarge(1.2), "=": () => enlarge(1.2), "-": () => enlarge(1 / 1.2), 0: home,
+    ArrowLeft: () => orbit(-turned, 0), ArrowRight: () => orbit(turned, 0),
+    ArrowUp: () => orbit(0, -turned), ArrowDown: () => orbit(0, turned),
+    "+": () => enlarge(1.2), "=": () => enlarge(1.2), "-": () => enlarge(1 / 1.2), 0: home,
   };
   canvas.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey || !(event.key in keys)) return;

@@ -32,18 +32,14 @@ _HINT = (
 )
 
 
-def viewer(
-    result: FitResult, scenes: Sequence[Scene], parts: Sequence[Agreement | None]
-) -> str | None:
-    """The viewer as a figure that stays hidden until its script runs; None if there is nothing to show.
+def viewer(result: FitResult, scenes: Sequence[Scene], parts: Sequence[Agreement | None]) -> str:
+    """The viewer as a figure that stays hidden until its script runs.
 
     Args:
         result: The fit.
-        scenes: Its surface with each of its clouds, or with none.
+        scenes: Its surface with each of its clouds, or with none; finite.
         parts: What the points of each scene belong to.
     """
-    if not all(np.isfinite(scene.vertices).all() for scene in scenes):
-        return None
     clouds = [(scene, part) for scene, part in zip(scenes, parts, strict=True) if part is not None]
     # Of several clouds the widest scale, so that one colour is one distance.
     limit = max((distance_limit(part) for _, part in clouds), default=0.0)

@@ -40,7 +40,7 @@ def array(part: dict, name: str) -> np.ndarray:
     return np.array(part["position"]["low"]) + raw / 65535 * np.array(part["position"]["size"])
 
 
-def figure(result: FitResult) -> str | None:
+def figure(result: FitResult) -> str:
     clouds = [part for part in result.agreements if isinstance(part.target, PointCloud)] or [None]
     return viewer(result, [Scene.of(result, part) for part in clouds], clouds)
 
@@ -113,10 +113,12 @@ class TestContent:
         assert [v["name"] for v in scene_in(figure(both))["views"]][-1] == "camera"
         np.testing.assert_array_equal(scene_in(figure(both))["views"][0]["axes"], OBLIQUE.axes)
 
-    def test_nothing_to_show(self):
-        scene = Scene.of(known_pose())
-        scene.vertices[0, 3, 4] = np.nan
-        assert viewer(known_pose(), [scene], [None]) is None
+    def test_nothing_to_show(self, tmp_path):
+        model = dataclasses.replace(known_pose().model, dx=np.nan)
+        page = write(changed(known_pose(), model=model, converged=False), tmp_path)
+        assert "There are no pictures" in page
+        assert "<script" not in page
+        assert "script-src 'none'" in page
 
     def test_size(self, tmp_path):
         points = np.concatenate(
@@ -272,6 +274,37 @@ class TestInABrowser:
             )
             assert canvas[:2] == [2 * canvas[2], 2 * canvas[3]]
             assert view.page.evaluate("document.documentElement.scrollWidth") <= width
+        assert view.complaints == []
+
+    def test_fingers(self, opened):
+        view = opened(has_touch=True).go()
+        first = view.picture()
+        box = view.page.locator("canvas").bounding_box()
+        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        session = view.context.new_cdp_session(view.page)
+
+        def touch(kind: str, *places: tuple[float, float]) -> None:
+            points = [{"x": a, "y": b, "id": i} for i, (a, b) in enumerate(places)]
+            session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+        def bar() -> float:
+            view.picture()
+            return view.page.locator(".scale").bounding_box()["width"] / float(
+                view.page.locator(".scale").inner_text()
+            )
+
+        size = bar()
+        touch("touchStart", (x, y))
+        for step in range(1, 7):
+            touch("touchMove", (x + 15 * step, y))
+        touch("touchEnd")
+        assert (view.picture() != first).any(axis=-1).mean() > 0.02
+        assert bar() == pytest.approx(size)
+        touch("touchStart", (x - 40, y), (x + 40, y))
+        for step in range(1, 9):
+            touch("touchMove", (x - 40 - 5 * step, y), (x + 40 + 5 * step, y))
+        touch("touchEnd")
+        assert bar() == pytest.approx(2 * size, rel=0.1)
         assert view.complaints == []
 
     def test_it_is_light_or_dark(self, opened):
