@@ -117,7 +117,7 @@ def overlay_chart(overlay: Overlay, limit: float, noise: float) -> str:
     content = [
         f'<image width="{width:.1f}" height="{height:.1f}" preserveAspectRatio="none" '
         f'style="image-rendering:pixelated" href="data:image/png;base64,{data}"/>',
-        f'<rect class="plot" width="{width:.1f}" height="{height:.1f}"/>',
+        f'<rect class="plot" x="1" y="1" width="{width - 2:.1f}" height="{height - 2:.1f}"/>',
     ]
     # The outline may go on beyond the image. Drawings of one size may share the name of their frame.
     frame = f"frame-{width:.0f}-{height:.0f}"

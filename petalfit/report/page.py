@@ -158,7 +158,7 @@ def _described(part: Agreement) -> tuple[str, dict[str, str]]:
         )
         return sentence, {
             "pixels": f"{columns} × {rows}",
-            "covered pixels": f"{round(part.target.area):,}",
+            "covered": f"{round(part.target.area):,}",
             "rms distance": f"{plain(part.rms)} px",
             "noise σ": f"{plain(part.noise)} px",
         }
