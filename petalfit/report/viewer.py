@@ -22,6 +22,8 @@ from petalfit.report.swatch import ignored, swatch
 
 # Of all clouds together. A point takes 7 bytes.
 _POINTS = 20_000
+# A sheet takes 50 kB; of more sheets than these every second vertex will do, for each is small.
+_FINE_SHEETS = 4
 # Places are written as fractions of the range of their coordinates, normals and values of ±1.
 _PLACES, _SIGNED = 65535, 127
 
@@ -87,11 +89,13 @@ def fingerprint(script: str) -> str:
 
 def _sheets(scene: Scene) -> dict[str, Any]:
     """Every sheet of the surface, one after the other."""
-    normals = np.rint(_SIGNED * np.nan_to_num(scene.normals)).astype(np.int8)
+    step = 1 if len(scene.vertices) <= _FINE_SHEETS else 2
+    vertices, normals = scene.vertices[:, ::step, ::step], scene.normals[:, ::step, ::step]
+    normals = np.rint(_SIGNED * np.nan_to_num(normals)).astype(np.int8)
     return {
         "name": "surface",
-        "grid": scene.vertices.shape[1:3],
-        "position": _packed(scene.vertices.reshape(-1, 3)),
+        "grid": vertices.shape[1:3],
+        "position": _packed(vertices.reshape(-1, 3)),
         "normal": _base64(normals),
     }
 

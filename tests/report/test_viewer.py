@@ -137,6 +137,20 @@ class TestContent:
         assert len(page) < 1_500_000
         assert len(write(known_pose(), tmp_path)) < 1_000_000
 
+    def test_many_surfaces_are_coarser(self):
+        scene = Scene.of(known_pose())
+        nine = dataclasses.replace(
+            scene,
+            vertices=np.repeat(scene.vertices, 9, axis=0),
+            normals=np.repeat(scene.normals, 9, axis=0),
+        )
+        page = viewer(known_pose(), [nine], [None])
+        part = scene_in(page)["parts"][0]
+        found = array(part, "position").reshape(9, 33, 33, 3)
+        np.testing.assert_allclose(found, nine.vertices[:, ::2, ::2], atol=1e-3)
+        assert array(part, "normal").shape == (9 * 33 * 33, 3)
+        assert len(page) < 200_000
+
     def test_the_policy_allows_this_script_alone(self, tmp_path):
         page = write(posed(), tmp_path)
         (ours,) = [text for kind, text in SCRIPT.findall(page) if not kind]
