@@ -1,46 +1,56 @@
-"""A real browser, for what people look at: Chromium as the system has it, without a window."""
+"""A browser for tests of what people look at: Chromium without a window, drawing in software."""
 
 from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import pytest
-from playwright.sync_api import Browser, Page, sync_playwright
 
-NAMES = ("chromium", "chromium-browser", "google-chrome")
-# Drawn by the processor, so that no graphics card is needed.
-FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, ConsoleMessage, Page
+
+_NAMES = ("chromium", "chromium-browser", "google-chrome")
+_OPTIONS = (
+    "--no-sandbox",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+)
 
 
-@pytest.fixture(scope="session")
+# For a module and no longer: while it is open, asyncio takes the main thread for a running loop.
+@pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    """One for all tests of a process."""
-    found = next(filter(None, map(shutil.which, NAMES)), None)
-    if found is None:
-        pytest.skip("there is no Chromium to look with: apt-get install chromium")
+    """The Chromium on PATH; without one the test is skipped."""
+    program = next(filter(None, map(shutil.which, _NAMES)), None)
+    if program is None:
+        pytest.skip("there is no chromium on PATH: apt-get install chromium")
+    from playwright.sync_api import sync_playwright
+
     with sync_playwright() as playwright:
-        running = playwright.chromium.launch(executable_path=found, args=FLAGS)
-        yield running
-        running.close()
+        chromium = playwright.chromium.launch(executable_path=program, args=[*_OPTIONS])
+        yield chromium
+        chromium.close()
 
 
 class Watched:
-    """What a page complained about, and what it asked for."""
+    """What a page complained about, and whom it asked for something."""
 
     def __init__(self, page: Page) -> None:
         self.errors: list[str] = []
-        self.requests: list[str] = []
+        self._requests: list[str] = []
         page.on("console", self._said)
         page.on("pageerror", lambda error: self.errors.append(str(error)))
-        page.on("request", lambda request: self.requests.append(request.url))
-        page.on("websocket", lambda socket: self.requests.append(socket.url))
+        page.on("request", lambda request: self._requests.append(request.url))
+        page.on("websocket", lambda socket: self._requests.append(socket.url))
 
-    def _said(self, message) -> None:
+    def _said(self, message: ConsoleMessage) -> None:
         if message.type == "error":
             self.errors.append(message.text)
 
     def beyond(self, *origins: str) -> list[str]:
-        """Requests that go elsewhere."""
+        """Requests that went elsewhere."""
         own = (*origins, "data:", "blob:")
-        return [url for url in self.requests if not url.startswith(own)]
+        return [url for url in self._requests if not url.startswith(own)]

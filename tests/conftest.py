@@ -7,6 +7,8 @@ import pytest
 from hypothesis import settings
 from jaxtyping import install_import_hook
 
+from tests.browser import browser as browser
+
 # Before anything imports petalfit: what is imported earlier stays unchecked.
 install_import_hook("petalfit", "beartype.beartype")
 

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 from petalfit import __version__  # pyright: ignore[reportAttributeAccessIssue] - not a lazy one
 from petalfit.cli.interrupt import insistent_interrupt
+from petalfit.cli.invocation import invoked_with
 from petalfit.cli.status import BROKEN_PIPE, INTERRUPTED, SUCCESS, UNUSABLE, CommandError
 
 DESCRIPTION = (
@@ -31,9 +32,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         converge, 130 after Ctrl-C.
     """
     _expect_a_short_life()
+    arguments = list(sys.argv[1:] if argv is None else argv)
     try:
-        with insistent_interrupt():
-            status = _run(list(sys.argv[1:] if argv is None else argv))
+        with insistent_interrupt(), invoked_with(arguments):
+            status = _run(arguments)
             sys.stdout.flush()
         return status
     except KeyboardInterrupt:

@@ -1,5 +1,6 @@
 """The folder of a fit's results: what is in it, written whole or not at all."""
 
+import dataclasses
 import os
 import secrets
 import shutil
@@ -8,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from petalfit.cli.invocation import command_line
 from petalfit.cli.status import CommandError, require
 
 if TYPE_CHECKING:
@@ -25,10 +27,11 @@ CONTENTS = {
 
 
 def write_results(result: "FitResult", folder: Path) -> None:
-    """Writes the files of `CONTENTS`."""
+    """Writes the files of `CONTENTS`, which say by what command they were made."""
     from petalfit.export import export_mesh
     from petalfit.report import write_report
 
+    result = dataclasses.replace(result, command=command_line())
     result.save(folder / FIT)
     export_mesh(result, folder / MESH)
     write_report(result, folder / REPORT)

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from petalfit import components
+from petalfit import __version__, components  # pyright: ignore[reportAttributeAccessIssue] - not lazy
 from petalfit.components import Parameter, Posed, parameters
 from petalfit.fitting.estimate import Estimate, Start, quantile
 from petalfit.fitting.misfit import MisfitMap
-from petalfit.fitting.targets import target_from_json, target_to_json
+from petalfit.fitting.targets import digest_of, target_from_json, target_to_json
 from petalfit.observations import PointCloud, Silhouette, TargetError
 from petalfit.observations.atomic import atomic_path
 from petalfit.surfaces import AbstractSurface, Domain, Pose, moved, with_value
@@ -152,6 +152,8 @@ class FitResult(Estimate):
         profiles: Profile likelihoods by parameter, as far as they were asked for (`with_profile`).
         pose_stderr: Standard errors of a fitted pose: turn_x, turn_y and turn_z about the model's axes
             in rad, shift_x, shift_y and shift_z in the target's unit, and scale. Empty if it was known.
+        made_by: The version of petalfit that made it.
+        command: The command line that made it; empty if none did.
     """
 
     model: AbstractSurface
@@ -161,6 +163,13 @@ class FitResult(Estimate):
     ranking: tuple[Rank, ...] = ()
     pose_stderr: dict[str, float] = dataclasses.field(default_factory=dict)
     profiles: dict[str, Profile] = dataclasses.field(default_factory=dict)
+    made_by: str = f"petalfit {__version__}"
+    command: str = ""
+
+    @property
+    def input_hash(self) -> str:
+        """SHA-256 of the numbers of the targets: the same for the same data, whatever their file."""
+        return digest_of([part.target for part in self.agreements])
 
     @property
     def noise(self) -> float:
@@ -340,6 +349,7 @@ class FitResult(Estimate):
                     np.array(pose["rotation"]), np.array(pose["translation"]), pose["scale"]
                 ),
                 "names": tuple(fields["names"]),
+                "made_by": fields.get("made_by", "an earlier petalfit"),
                 "covariance": np.array(fields["covariance"], float).reshape(
                     2 * (len(fields["names"]),)
                 ),

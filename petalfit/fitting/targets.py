@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import base64
+import hashlib
+import json
 import os
 import zlib
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -103,6 +106,23 @@ def _looks_like_a_mask(array: np.ndarray, camera: Camera | None) -> bool:
     if array.ndim == 3:
         return True
     return array.ndim == 2 and (array.dtype == bool or camera is not None or min(array.shape) > 8)
+
+
+def digest_of(targets: Iterable[PointCloud | Silhouette]) -> str:
+    """SHA-256, in hexadecimal, of all numbers of targets that a fit looks at, in their order."""
+    whole = hashlib.sha256()
+    for target in targets:
+        if isinstance(target, PointCloud):
+            arrays, camera = (target.points, target.weights), None
+        else:
+            arrays, camera = (target.mask, target.weights), target.camera
+        shapes = [None if array is None else array.shape for array in arrays]
+        head = [type(target).__name__, shapes, None if camera is None else camera.to_json()]
+        whole.update(json.dumps(head).encode())
+        for array in arrays:
+            if array is not None:
+                whole.update(np.ascontiguousarray(array, "<f8").tobytes())
+    return whole.hexdigest()
 
 
 def target_to_json(target: PointCloud | Silhouette) -> dict[str, Any]:

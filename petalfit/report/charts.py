@@ -117,12 +117,19 @@ def overlay_chart(overlay: Overlay, limit: float, noise: float) -> str:
     content = [
         f'<image width="{width:.1f}" height="{height:.1f}" preserveAspectRatio="none" '
         f'style="image-rendering:pixelated" href="data:image/png;base64,{data}"/>',
-        f'<rect class="plot" width="{width:.1f}" height="{height:.1f}"/>',
+        f'<rect class="plot" x="1" y="1" width="{width - 2:.1f}" height="{height - 2:.1f}"/>',
     ]
+    # The outline may go on beyond the image. Drawings of one size may share the name of their frame.
+    frame = f"frame-{width:.0f}-{height:.0f}"
+    content.append(
+        f'<clipPath id="{frame}"><rect width="{width:.1f}" height="{height:.1f}"/></clipPath>'
+        f'<g clip-path="url(#{frame})">'
+    )
     corner = np.array([left, top])
     for ring in overlay.rings:
         thinned = ring[:: max(1, len(ring) // 2000)]
         content.append(_path((np.concatenate([thinned, ring[:1]]) - corner) * per_pixel, "outline"))
+    content.append("</g>")
     colours = np.where(overlay.used[:, None], diverging(overlay.distances / limit), IGNORED)
     places = (overlay.places - corner) * per_pixel
     for (x, y), colour in zip(places.tolist(), colours, strict=True):

@@ -11,8 +11,6 @@ from collections.abc import Iterator
 import numpy as np
 
 from petalfit import __version__  # pyright: ignore[reportAttributeAccessIssue]  # not lazy
-from petalfit.components import parameters
-from petalfit.fitting import result as results
 from petalfit.fitting.result import Agreement, FitResult
 from petalfit.observations import PointCloud, Silhouette
 from petalfit.observations.atomic import atomic_path
@@ -23,27 +21,31 @@ from petalfit.report.charts import (
     profile_chart,
     view_chart,
 )
-from petalfit.report.colour import IGNORED, POINT, css
+from petalfit.report.colour import POINT, css
 from petalfit.report.overlay import Overlay
+from petalfit.report.provenance import named, provenance
 from petalfit.report.rounding import count, listed, plain
 from petalfit.report.scene import BASE, OBLIQUE, SIDE, Scene, distance_limit, draw_map, draw_view
+from petalfit.report.swatch import ignored, swatch
 from petalfit.report.tables import (
     correlation_table,
     families_table,
     parameter_table,
-    provenance_list,
+    pose_table,
     starts_table,
 )
+from petalfit.report.viewer import fingerprint, script, viewer
 
 # Pixels, of which a page's pixel has two.
 _WIDE, _NARROW, _MAP = 960, 880, 680
 
 
 def write_report(result: FitResult, path: str | os.PathLike[str]) -> None:
-    """Write a fit as one HTML page: table, pictures, distances, starts, correlations, provenance.
+    """Write a fit as one HTML page: table, 3-D view, distances, starts, correlations, provenance.
 
     The page needs no network and no other file, suits light and dark screens, phones and paper, and
-    is the same to the byte for the same result. It is written whole or not at all.
+    is the same to the byte for the same result. Where there are no scripts or no WebGL, and on paper,
+    the 3-D view is a picture. It is written whole or not at all.
 
     Args:
         result: The fit.
@@ -66,21 +68,32 @@ def _page(result: FitResult) -> str:
         "<h2>Parameters</h2>",
         parameter_table(result),
         _table_notes(result),
+        pose_table(result),
         *_pictures(result),
         *_profiles(result),
         '<div class="pair">',
         _correlations(result),
-        _provenance(result),
+        provenance(result),
         "</div>",
     ]
+    content = "\n".join(filter(None, body))
+    program = script() if 'class="viewer"' in content else ""
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f'<meta name="generator" content="petalfit {__version__}">\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{_policy(program)}">\n'
         f"<title>{kind} fit · petalfit</title>\n<style>\n{style}</style>\n</head>\n<body>\n<main>\n"
-        + "\n".join(body)
-        + "\n</main>\n</body>\n</html>\n"
+        f"{content}\n</main>\n"
+        + (f"<script>{program}</script>\n" if program else "")
+        + "</body>\n</html>\n"
     )
+
+
+def _policy(program: str) -> str:
+    """What a browser may do with the page: show what is in it, and run our script and no other."""
+    scripts = f"'{fingerprint(program)}'" if program else "'none'"
+    return f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src {scripts}"
 
 
 def _status(result: FitResult) -> tuple[str, str]:
@@ -103,11 +116,14 @@ def _head(result: FitResult) -> str:
     parts = [_described(part) for part in result.agreements]
     known = sum(result.identifiable.values())
     facts = {}
-    for number, (_, part_facts) in enumerate(parts, 1):
-        suffix = f" <small>{number}</small>" if len(parts) > 1 else ""
+    for (_, part_facts), name in zip(parts, _short_names(result), strict=True):
+        suffix = f", {name}" if len(parts) > 1 else ""
         facts |= {f"{key}{suffix}": value for key, value in part_facts.items()}
-    facts["determined parameters"] = f"{known} <small>of {len(result.names)} free</small>"
-    what = listed([_named(part) for part in result.agreements])
+    if result.names:
+        facts["determined parameters"] = f"{known} <small>of {len(result.names)} free</small>"
+    else:
+        facts["effective parameters"] = f"{plain(result.freedom)} <small>none has a name</small>"
+    what = listed([named(part) for part in result.agreements])
     lead = " ".join(sentence for sentence, _ in parts)
     return (
         f'<p class="eyebrow">petalfit · fit report</p>\n<h1>{kind} fitted to '
@@ -119,11 +135,15 @@ def _head(result: FitResult) -> str:
     )
 
 
-def _named(part: Agreement) -> str:
-    if isinstance(part.target, PointCloud):
-        return count(int(np.count_nonzero(part.used)), "point")
-    rows, columns = part.target.mask.shape
-    return f"a mask of {columns} × {rows} pixels"
+def _short_names(result: FitResult) -> list[str]:
+    """Of every target: cloud, or mask 1 and mask 2 if there are several."""
+    kinds = [
+        "mask" if isinstance(part.target, Silhouette) else "cloud" for part in result.agreements
+    ]
+    return [
+        kind if kinds.count(kind) == 1 else f"{kind} {kinds[: i + 1].count(kind)}"
+        for i, kind in enumerate(kinds)
+    ]
 
 
 def _described(part: Agreement) -> tuple[str, dict[str, str]]:
@@ -193,10 +213,15 @@ def _grouped(result: FitResult) -> Iterator[str]:
 
 def _table_notes(result: FitResult) -> str:
     notes = [
-        "Errors are one standard deviation, all other free parameters being free; intervals take "
-        "them as Gaussian.",
-        "The line on the right is the parameter's typical range, with its value and interval.",
+        '<span class="of-strips">The line on the right is the parameter\'s typical range, with its '
+        "value and interval.</span>"
     ]
+    if result.names:
+        notes.insert(
+            0,
+            "Errors are one standard deviation, all other free parameters being free; intervals take "
+            "them as Gaussian.",
+        )
     if not all(result.identifiable.values()):
         notes.append(
             "<strong>Not determined</strong>: the target leaves the parameter an error above 0.3 "
@@ -213,14 +238,20 @@ def _table_notes(result: FitResult) -> str:
 def _pictures(result: FitResult) -> Iterator[str]:
     clouds = [part for part in result.agreements if isinstance(part.target, PointCloud)]
     yield "<h2>Target and fit</h2>"
-    for part in clouds or [None]:
-        yield _views(Scene.of(result, part), len(part.distances) if part else 0)
-    yield "<h2>Distances</h2>"
-    for part in clouds:
-        yield _map(Scene.of(result, part), part)
-    for part in result.agreements:
-        if isinstance(part.target, Silhouette):
-            yield _contour(result, part)
+    parts = clouds or [None]
+    scenes = [Scene.of(result, part) for part in parts]
+    if all(scene.finite for scene in scenes):
+        yield viewer(result, scenes, parts)
+        for scene, part in zip(scenes, parts, strict=True):
+            yield _views(scene, len(part.distances) if part else 0)
+        yield "<h2>Distances</h2>"
+        for scene, part in zip(scenes, clouds, strict=False):
+            yield _map(scene, part)
+        for part in result.agreements:
+            if isinstance(part.target, Silhouette):
+                yield _contour(result, part)
+    else:
+        yield "<p>There are no pictures: the fitted surface is not finite.</p>"
     if result.ranking:
         yield f"<h2>Families</h2>{families_table(result)}"
     if result.starts:
@@ -232,15 +263,15 @@ def _views(scene: Scene, total: int) -> str:
     side, base = (draw_view(scene, view, _WIDE, (0.25, 0.7)) for view in (SIDE, BASE))
     dots = ""
     if total:
-        dots = f" and {_share(oblique.drawn, total)} as {_swatch(POINT)} dots{_ignored(scene)}"
+        dots = f" and {_share(oblique.drawn, total)} as {swatch(css(POINT))} dots{ignored(scene)}"
     hidden = " Points behind the surface are hidden by it." if total else ""
     return (
         '<div class="views">'
         f'<figure class="tall">{view_chart(oblique)}<figcaption>The fitted surface{dots}, from an '
-        f"oblique direction.{hidden} Axes are the petal's: "
+        f"oblique direction.{hidden} Axes are the model's: "
         "x across, y along, z normal; bars are in the target's unit.</figcaption></figure>"
         f"<figure>{view_chart(side)}<figcaption>From the side.</figcaption></figure>"
-        f"<figure>{view_chart(base)}<figcaption>From the base, along the petal.</figcaption>"
+        f"<figure>{view_chart(base)}<figcaption>From the base.</figcaption>"
         "</figure></div>"
     )
 
@@ -250,9 +281,9 @@ def _map(scene: Scene, part: Agreement) -> str:
     picture = draw_map(scene, limit, _MAP)
     return (
         f'<div class="pair"><figure>{map_chart(picture, scene, limit, part.noise)}<figcaption>'
-        f"The fitted outline and {_share(picture.drawn, len(part.distances))} in the plane of the "
-        "petal, coloured by signed distance, positive on the side of the normal"
-        f"{_ignored(scene)}. Noise alone shows no pattern here.</figcaption></figure>"
+        f"The fitted outline and {_share(picture.drawn, len(part.distances))} from the front, "
+        "coloured by signed distance, positive on the side of the normal"
+        f"{ignored(scene)}. Noise alone shows no pattern here.</figcaption></figure>"
         f"<div>{_histogram(part)}</div></div>"
     )
 
@@ -304,15 +335,9 @@ def _share(drawn: int, total: int) -> str:
     return f"{drawn:,} of {count(total, 'point')}, chosen at random,"
 
 
-def _swatch(rgb: np.ndarray) -> str:
-    return f'<span class="swatch" style="background:{css(rgb)}"></span>'
-
-
-def _ignored(scene: Scene) -> str:
-    return "" if scene.used.all() else f" ({_swatch(IGNORED)} without weight or taken for strays)"
-
-
 def _correlations(result: FitResult) -> str:
+    if not result.names:
+        return ""
     heat = correlation_table(result)
     text = (
         "<p>Fewer than two parameters are determined: there is nothing to correlate.</p>"
@@ -321,40 +346,3 @@ def _correlations(result: FitResult) -> str:
         f"tells a combination of the two better than either.</p>{heat}"
     )
     return f"<section><h2>Correlations</h2>{text}</section>"
-
-
-def _unit(part: Agreement) -> str:
-    return " px" if part.unit == "px" else ""
-
-
-def _provenance(result: FitResult) -> str:
-    pose, kind = result.pose, html.escape(type(result.model).__name__)
-    rotation = "<br>".join(
-        " ".join(f"{number:+.6f}" for number in row) for row in pose.rotation.tolist()
-    )
-    moved = pose.scale != 1.0 or pose.translation.any() or (pose.rotation != np.eye(3)).any()
-    rows = {
-        "model": kind,
-        "status": html.escape(result.status),
-        "message": html.escape(result.message),
-        "targets": listed([_named(part) for part in result.agreements]),
-        "rms distance": ", ".join(f"{part.rms!r}{_unit(part)}" for part in result.agreements),
-        "noise σ": ", ".join(f"{part.noise!r}{_unit(part)}" for part in result.agreements),
-    }
-    if not moved:
-        rows["pose"] = "the target is in the model's frame"
-    else:
-        rows["scale"] = f"{pose.scale!r}"
-        rows["rotation"] = f"<code>{rotation}</code>"
-        rows["translation"] = ", ".join(map(repr, pose.translation.tolist()))
-    if result.timings:
-        rows["seconds"] = ", ".join(f"{name} {x:.2g}" for name, x in result.timings.items())
-    rows["petalfit"] = __version__
-    rows["file format"] = f"{results.FORMAT}, version {results.VERSION}"
-    values = ((name, result.values[name]) for name in parameters(result.model))
-    arguments = "\n".join(f"    {name}={value!r}," for name, value in values)
-    call = html.escape(f"petalfit.{type(result.model).__name__}(\n{arguments}\n)")
-    return (
-        f'<section class="provenance"><h2>Provenance</h2>{provenance_list(rows)}'
-        f"<details><summary>The fitted model as code</summary><pre>{call}</pre></details></section>"
-    )

@@ -18,7 +18,7 @@ _RESOLUTION = (65, 65)
 # Of more points a random choice is drawn, the same at every time.
 _IN_MAP = 20_000
 _IN_VIEW = 2500  # more would cover the surface
-_LIGHT = np.array([-0.45, 0.55, 0.7]) / np.linalg.norm([-0.45, 0.55, 0.7])
+LIGHT = np.array([-0.45, 0.55, 0.7]) / np.linalg.norm([-0.45, 0.55, 0.7])
 _MARGIN = 0.04  # around what is drawn, as a fraction of a picture's sides
 
 
@@ -59,6 +59,11 @@ class Scene:
             distances,
             used,
         )
+
+    @property
+    def finite(self) -> bool:
+        """Whether it can be drawn: a fit that failed may end with anything."""
+        return bool(np.isfinite(self.vertices).all() and np.isfinite(self.points).all())
 
     @property
     def outlines(self) -> list[Float[np.ndarray, "l 3"]]:
@@ -157,7 +162,7 @@ def draw_view(
     xy, depth = _place(picture, scene.vertices)
     normals = scene.normals @ view.axes.T
     front = normals[..., 2:] >= 0
-    lit = np.clip(np.where(front, normals, -normals) @ _LIGHT, 0, 1)
+    lit = np.clip(np.where(front, normals, -normals) @ LIGHT, 0, 1)
     rgb = shaded(np.where(front, FRONT, REAR), lit)
     for sheet in zip(xy, depth, rgb, strict=True):
         canvas.sheet(*sheet)

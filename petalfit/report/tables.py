@@ -8,12 +8,18 @@ import math
 import numpy as np
 
 from petalfit.components import Parameter
+from petalfit.fitting.estimate import quantile
 from petalfit.fitting.result import FitResult
 from petalfit.report.charts import range_chart
 from petalfit.report.rounding import decimals_of, fixed, measured, plain
 
 _UNITS = {"length": "length", "1": "–"}
 _MOST_STARTS = 12
+_POSE = {
+    "scale": ("–", "one unit of the model, in the target's"),
+    "shift": ("length", "where the model's origin lies in the target's frame"),
+    "turn": ("rad", "about the model's {axis} axis; the rotation is under Provenance"),
+}
 _NOT_DETERMINED = "is not determined by this target"
 
 
@@ -31,14 +37,16 @@ def parameter_table(result: FitResult, level: float = 0.95) -> str:
         _parameter_row(name, parameter, result, intervals.get(name))
         for name, parameter in result.declared.items()
     ]
+    return _parameter_head(level, "in its typical range") + "\n".join(rows) + "\n</tbody></table>"
+
+
+def _parameter_head(level: float, strip: str) -> str:
     return (
         '<table class="parameters"><thead><tr><th scope="col">parameter</th>'
         '<th scope="col" class="value">value ± standard error</th>'
         f'<th scope="col" class="reach">{100 * level:g} % interval</th>'
         '<th scope="col" class="unit">unit</th>'
-        '<th scope="col" class="strip">in its typical range</th></tr></thead>\n<tbody>\n'
-        + "\n".join(rows)
-        + "\n</tbody></table>"
+        f'<th scope="col" class="strip">{strip}</th></tr></thead>\n<tbody>\n'
     )
 
 
@@ -48,7 +56,7 @@ def _parameter_row(
     value, error = result.values[name], result.stderr.get(name, math.nan)
     known = result.identifiable.get(name, False)
     if interval is None:
-        kind, shown, reach = "fixed", _data(value, f"{value:.10g}".replace("-", "−")), "fixed"
+        kind, shown, reach = "fixed", _data(value, f"{value + 0.0:.10g}".replace("-", "−")), "fixed"
     elif not known:
         kind, shown = "unknown", f"≈ {_data(value, plain(value))}"
         reach = "<strong>not determined</strong>"
@@ -68,9 +76,42 @@ def _parameter_row(
         f'<tr class="{kind}"><th scope="row"><code>{html.escape(name)}</code> {_symbol(parameter)}'
         f'<span class="meaning">{html.escape(parameter.meaning)}</span></th>'
         f'<td class="value">{shown}{"".join(notes)}</td><td class="reach">{reach}</td>'
-        f'<td class="unit">{html.escape(unit)}</td>'
+        f"{_unit(unit)}"
         f'<td class="strip">{range_chart(value, interval, parameter.typical)}</td></tr>'
     )
+
+
+def pose_table(result: FitResult, level: float = 0.95) -> str | None:
+    """How surely a fitted pose is known; None if it was not fitted."""
+    if not result.pose_stderr:
+        return None
+    values = {"scale": float(result.pose.scale)}
+    values |= {
+        f"shift_{a}": x for a, x in zip("xyz", result.pose.translation.tolist(), strict=True)
+    }
+    rows = []
+    for name, error in result.pose_stderr.items():
+        kind, _, axis = name.partition("_")
+        unit, meaning = _POSE[kind]
+        shown, reach = f"± {plain(error, 2)}", f"± {plain(quantile(level) * error, 2)}"
+        if name in values:
+            rounded, rounded_error = measured(values[name], error)
+            shown = f'{_data(values[name], rounded)} <span class="error">± {rounded_error}</span>'
+            ends = (values[name] + side * quantile(level) * error for side in (-1, 1))
+            reach = " to ".join(fixed(end, decimals_of(error)) for end in ends)
+        rows.append(
+            f'<tr class="known"><th scope="row"><code>{name}</code><span class="meaning">'
+            f"{meaning.format(axis=axis)}"
+            f'</span></th><td class="value">{shown}</td><td class="reach">{reach}</td>'
+            f'{_unit(unit)}<td class="strip"></td></tr>'
+        )
+    return (
+        f"<h3>Pose</h3>{_parameter_head(level, strip='')}" + "\n".join(rows) + "\n</tbody></table>"
+    )
+
+
+def _unit(unit: str) -> str:
+    return f'<td class="unit{" none" if unit == "–" else ""}">{html.escape(unit)}</td>'
 
 
 def _data(value: float, text: str) -> str:
@@ -144,11 +185,3 @@ def _heat(correlation: float, pair: str) -> str:
         f'<td class="{kind}" style="--strength:{100 * strength:.0f}%" '
         f'title="{html.escape(pair)}">{fixed(correlation, 2)}</td>'
     )
-
-
-def provenance_list(rows: dict[str, str]) -> str:
-    """Terms and what they are; the values are HTML already."""
-    terms = (
-        f"<div><dt>{html.escape(key)}</dt><dd>{value}</dd></div>" for key, value in rows.items()
-    )
-    return "<dl>" + "\n".join(terms) + "</dl>"

@@ -1,6 +1,7 @@
 """`petalfit fit`: files, table, warnings and exit statuses."""
 
 import dataclasses
+import html
 import json
 import math
 from collections.abc import Callable
@@ -9,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from petalfit import __version__
 from petalfit.fitting import FitResult
 from petalfit.observations import PointCloud
 from petalfit.synthetic import Case, make, random_petal
@@ -43,6 +45,23 @@ def test_fit_from_nothing(petalfit: Call, cloud: PointCloud, tmp_path: Path) -> 
     assert summary + "converged after" in outcome.out
     for file in FILES:
         assert str(Path("where") / file) in outcome.out.replace("\n", "")
+
+
+def test_results_say_what_made_them(petalfit: Call, instantly, cloud_file: Path) -> None:
+    instantly()
+    folder = cloud_file.parent
+    out = folder / "a & b"
+    assert petalfit("fit", cloud_file, "--out", out, "--noise", 0.05).status == 0
+    command = f"petalfit fit {cloud_file} --out '{out}' --noise 0.05"
+    saved = FitResult.load(out / "fit.json")
+    assert saved.command == command
+    assert saved.made_by == f"petalfit {__version__}"
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert html.escape(command) in page
+    assert saved.input_hash in page
+    saved.report(folder / "again.html")
+    assert (folder / "again.html").read_text(encoding="utf-8") == page
+    assert not known_pose().command
 
 
 def test_init_and_noise(petalfit: Call, cloud: PointCloud, tmp_path: Path) -> None:

@@ -6,12 +6,14 @@ import re
 import sys
 from html.parser import HTMLParser
 
+import equinox as eqx
 import numpy as np
 import pytest
 from PIL import Image
 
-from petalfit import FitResult, PointCloud, __version__, parameters
-from petalfit.report import write_picture, write_report
+import petalfit
+from petalfit import FitResult, PointCloud, Pose, __version__, parameters
+from petalfit.report import provenance, write_picture, write_report
 from petalfit.report.colour import NEGATIVE, POSITIVE, ZERO, diverging
 from tests.fitted import HOSTILE, NOISE, changed, known_pose, posed
 
@@ -51,7 +53,7 @@ class Page(HTMLParser):
             self.parameters[self.rows[-1].split()[0]] = self.rows[-1]
 
     def handle_data(self, data):
-        if "style" not in self._open:
+        if not {"style", "script"} & {*self._open}:
             self.text += data
         if "tr" in self._open:
             self.rows[-1] += data + " "
@@ -131,7 +133,37 @@ class TestContent:
         assert f"petalfit {__version__}" in " ".join(page.text.split())
         assert "petalfit.FitResult, version 3" in page.text
         assert posed().message in page.text
+        assert posed().input_hash in page.text
+        assert "400 points (360 of them used)" in page.text
+        assert "command" not in page.text
         assert repr(posed().pose.scale) in page.text
+
+    def test_the_command_is_quoted(self, tmp_path):
+        command = "petalfit fit '<b>a & b.ply' --out out"
+        assert command in variant(tmp_path, command=command).text
+
+    def test_a_fitted_pose_has_errors(self, tmp_path):
+        pose = Pose(np.eye(3), np.array([1.0, 2.0, 3.0]), 2.0)
+        errors = {"scale": 0.01, "shift_y": 0.2, "turn_z": 0.003}
+        page = variant(tmp_path, pose=pose, pose_stderr=errors)
+        rows = {row.split()[0]: " ".join(row.split()) for row in page.rows if row.strip()}
+        assert "2.000 ± 0.010 1.980 to 2.020" in rows["scale"]
+        assert "2.00 ± 0.20 1.61 to 2.39 length" in rows["shift_y"]
+        assert "± 0.0030 ± 0.0059 rad" in rows["turn_z"]
+
+    def test_a_model_without_names(self, tmp_path):
+        nothing = {"names": (), "stderr": {}, "identifiable": {}, "covariance": np.zeros((0, 0))}
+        page = variant(tmp_path, **nothing, freedom=116.0)
+        assert "effective parameters 116" in " ".join(page.text.split())
+        assert "Correlations" not in page.text
+        assert "Errors are one standard deviation" not in page.text
+
+    def test_the_model_as_code_makes_the_model(self, page, tmp_path):
+        stamen = petalfit.Stamen(tilt=0.25)
+        for model in (posed().model, stamen, petalfit.Bowl(hollow="printed")):
+            again = eval(provenance._code(model), {"petalfit": petalfit})
+            assert eqx.tree_equal(again, model)
+        assert provenance._code(petalfit.SplinePetal()) is None
 
     def test_starts(self, page):
         (row,) = [row for row in page.rows if row.startswith("other ")]
@@ -154,14 +186,18 @@ class TestIndependence:
                 value = attributes[name] or ""
                 assert value.startswith(("data:", "#")), (tag, name, value[:80])
             assert not any(name.startswith("on") for name in attributes)
-        assert not {"script", "link", "iframe", "img"} & {tag for tag, _ in page.tags}
+        assert not {"link", "iframe", "img"} & {tag for tag, _ in page.tags}
         style = text[text.index("<style>") : text.index("</style>")]
         assert "@import" not in style
         assert "url(" not in style
 
+    def test_no_address_is_anywhere_in_it(self, tmp_path):
+        assert not re.findall(r"https?:|wss?:", write(known_pose(), tmp_path))
+
     def test_hostile_text_stays_text(self, page, text):
         assert page.text.count(HOSTILE) == 3  # the warning, the message and the label of a start
-        assert "<script" not in text
+        scripts = [attributes for tag, attributes in page.tags if tag == "script"]
+        assert scripts == [{"type": "application/json"}, {}]
 
     def test_the_same_result_gives_the_same_bytes(self, text, tmp_path):
         posed().save(tmp_path / "fit.json")

@@ -14,9 +14,7 @@ import trimesh
 from playwright.sync_api import Page, expect
 
 import petalfit as pf
-from tests.browser import Watched, browser
-
-__all__ = ["browser"]
+from tests.browser import Watched
 
 PETAL = pf.PeonyPetal(a_x=14.0, b_y=22.0, c=0.6, dx=0.4, dy=3.0)
 A_WHILE = 240_000  # milliseconds: for what has to be compiled first

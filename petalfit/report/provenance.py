@@ -1,0 +1,101 @@
+"""Where the numbers come from: what made them, of what, and all of their digits."""
+
+from __future__ import annotations
+
+import dataclasses
+import html
+
+import equinox as eqx
+import numpy as np
+
+from petalfit.fitting import result as results
+from petalfit.fitting.result import Agreement, FitResult
+from petalfit.observations import PointCloud
+from petalfit.report.rounding import count, listed
+
+
+def named(part: Agreement) -> str:
+    """What was fitted, in words."""
+    if isinstance(part.target, PointCloud):
+        return count(int(np.count_nonzero(part.used)), "point")
+    rows, columns = part.target.mask.shape
+    return f"a mask of {columns} × {rows} pixels"
+
+
+def _whole(part: Agreement) -> str:
+    """What was given."""
+    total, used = part.distances.size, int(np.count_nonzero(part.used))
+    if not isinstance(part.target, PointCloud) or total == used:
+        return named(part)
+    return f"{count(total, 'point')} ({used:,} of them used)"
+
+
+def provenance(result: FitResult) -> str:
+    """The section of the page."""
+    rows = {"made by": html.escape(result.made_by)}
+    if result.command:
+        rows["command"] = f"<code>{html.escape(result.command)}</code>"
+    rows |= {
+        "input": listed([_whole(part) for part in result.agreements]),
+        "its SHA-256": f"<code>{result.input_hash}</code>",
+        "model": html.escape(type(result.model).__name__),
+        "status": html.escape(result.status),
+        "message": html.escape(result.message),
+        "rms distance": ", ".join(f"{part.rms!r}{_unit(part)}" for part in result.agreements),
+        "noise σ": ", ".join(f"{part.noise!r}{_unit(part)}" for part in result.agreements),
+        **_pose(result),
+    }
+    if result.timings:
+        rows["seconds"] = ", ".join(f"{name} {x:.2g}" for name, x in result.timings.items())
+    rows["file format"] = f"{results.FORMAT}, version {results.VERSION}"
+    terms = "\n".join(
+        f"<div><dt>{html.escape(key)}</dt><dd>{value}</dd></div>" for key, value in rows.items()
+    )
+    return (
+        f'<section class="provenance"><h2>Provenance</h2><dl>{terms}</dl>'
+        f"{_details(result.model)}</section>"
+    )
+
+
+def _unit(part: Agreement) -> str:
+    return " px" if part.unit == "px" else ""
+
+
+def _pose(result: FitResult) -> dict[str, str]:
+    pose = result.pose
+    if pose.scale == 1.0 and not pose.translation.any() and (pose.rotation == np.eye(3)).all():
+        return {"pose": "the target is in the model's frame"}
+    rotation = "<br>".join(
+        " ".join(f"{number:+.6f}" for number in row) for row in pose.rotation.tolist()
+    )
+    return {
+        "scale": f"{float(pose.scale)!r}",
+        "rotation": f"<code>{rotation}</code>",
+        "translation": ", ".join(map(repr, pose.translation.tolist())),
+    }
+
+
+def _code(model: eqx.Module, depth: int = 1) -> str | None:
+    """A call that makes the model, as text; None of a model with arrays, which are too long to read."""
+    lines = []
+    for field in dataclasses.fields(model):
+        value = getattr(model, field.name)
+        if isinstance(value, eqx.Module):
+            text = _code(value, depth + 1)
+        elif field.metadata.get("static"):
+            text = repr(value)
+        else:
+            text = repr(float(value)) if np.ndim(value) == 0 else None
+        if text is None:
+            return None
+        lines.append(f"{'    ' * depth}{field.name}={text},\n")
+    name, indent = type(model).__name__, "    " * (depth - 1)
+    return f"petalfit.{name}(\n{''.join(lines)}{indent})"
+
+
+def _details(model: eqx.Module) -> str:
+    code = _code(model)
+    if code is None:
+        return ""
+    code = html.escape(code)
+    return f"<details><summary>The fitted model as code</summary><pre>{code}</pre></details>"
