@@ -72,7 +72,7 @@ class Session:
 
     def download(self, name: str, content: bytes) -> None:
         """Gives the browser a file."""
-        self._client.send_file_download(name, content)
+        self._client.send_file_download(name, content, save_immediately=True)
 
     def compiled(self) -> contextlib.AbstractContextManager[None]:
         """While the block runs, compiled programs are at hand."""

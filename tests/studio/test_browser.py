@@ -17,7 +17,7 @@ import petalfit as pf
 from tests.browser import Watched
 
 PETAL = pf.PeonyPetal(a_x=14.0, b_y=22.0, c=0.6, dx=0.4, dy=3.0)
-A_WHILE = 240_000  # milliseconds: for what has to be compiled first
+A_WHILE = 120_000  # milliseconds: for what has to be compiled first
 
 
 @pytest.fixture(scope="module")
