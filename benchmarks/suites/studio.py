@@ -66,7 +66,7 @@ def run(quick: bool, tell: Tell) -> Iterator[Metric]:
             note=f"bare viser {viser.__version__}: {min(times['viser']):.2f} s",
         )  # fmt: skip
         tell("sliders")
-        waits = _sliders(browser.new_page(viewport={"width": 640, "height": 480}), studio.url)
+        waits = _sliders(browser.new_page(viewport={"width": 900, "height": 600}), studio.url)
         yield Metric.median(
             "studio.slider_seconds", waits, "s", "less",
             note="from the key to the second frame with the new petal's distances",

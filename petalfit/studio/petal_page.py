@@ -20,6 +20,7 @@ from petalfit.export.mesh import export_glb
 from petalfit.fitting import FitResult, Start, fit_petal
 from petalfit.fitting.cloud import beside, off
 from petalfit.fitting.live import Glimpse, looking_on
+from petalfit.fitting.programs import numbers
 from petalfit.observations import Camera, PointCloud, Silhouette, TargetError
 from petalfit.report import write_report
 from petalfit.report.colour import IGNORED, diverging
@@ -60,6 +61,7 @@ class PetalPage:
         self._photo: Photo | None = None
         self._result: FitResult | None = None
         self._model: AbstractSurface | None = None
+        self._prepared: FitResult | None = None
         self._history: list[Glimpse] = []
         self._costs: list[float] = []
         self._some = np.arange(0)
@@ -242,13 +244,14 @@ class PetalPage:
                 drawn[0] = time.monotonic()
                 shown[0] += 1
 
-        outcome: Callable[[], None]
+        result: FitResult | None = None
+        outcome: Callable[[], None] = self._called_off
         try:
             with session.compiled(), looking_on(look):
-                result = fit_petal(target, throw=False, progress=tell, **options)
-            outcome = lambda: self._settle(result)  # noqa: E731
+                result = found = fit_petal(target, throw=False, progress=tell, **options)
+            outcome = lambda: self._settle(found)  # noqa: E731
         except CalledOff:
-            outcome = self._called_off
+            pass
         except Exception as error:
             outcome = _raising(error)
         with session.turn():
@@ -257,11 +260,11 @@ class PetalPage:
             self._at_rest()
             self._state.content = words.progress("", self._costs) if self._costs else ""
             outcome()
-        if self._result is None:
+        if result is None or self._result is not result:
             return
         if shown[0] < _FEW:
             self._replay(work)
-        self._prepare_sliders(self._result)
+        self._prepare_sliders(result)
 
     def _remember(self, glimpse: Glimpse) -> None:
         self._history.append(glimpse)
@@ -294,11 +297,15 @@ class PetalPage:
                 self.draw(look=True)
 
     def _prepare_sliders(self, result: FitResult) -> None:
-        """The first distances that a process measures are compiled: not while a slider waits."""
+        """Lets distances follow them, too; not before what that takes is compiled."""
         target = result.agreements[0].target
         if isinstance(target, PointCloud) and not isinstance(result.model, AbstractAssembly):
             with self._session.compiled():
                 _distances(result.model, result.pose.into(target.points[self._some][:_BESIDE]))
+            with self._session.turn():
+                self._prepared = result
+                if self._is_edited:
+                    self.draw()
 
     def _settle(self, result: FitResult) -> None:
         """Shows what a fit found."""
@@ -409,7 +416,8 @@ class PetalPage:
         self._edited.content = words.edited(result, rms, unit) if self._is_edited else ""
 
     def _draw_surface(self, model: AbstractSurface, look: bool) -> None:
-        mesh = model.mesh(_RESOLUTION)
+        # Numbers of one kind, so that one program serves all.
+        mesh = numbers(model).mesh(_RESOLUTION)
         vertices, normals = np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals)
         if look:
             self._scenery.look_at(vertices)
@@ -428,7 +436,7 @@ class PetalPage:
             limit, used = distance_limit(part), part.used[self._some]
             if not self._is_edited:
                 distances = part.distances[self._some]
-            elif not isinstance(model, AbstractAssembly):
+            elif self._prepared is result:
                 points, used = points[:_BESIDE], used[:_BESIDE]
                 distances = float(pose.scale) * _distances(model, points)
             if distances is not None:
@@ -484,7 +492,7 @@ _FILES = {
 def _distances(model: AbstractSurface, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
     """Signed distances to a surface that ends."""
     with jax.enable_x64(True):
-        normal, beyond, _ = beside(model, points)
+        normal, beyond, _ = beside(numbers(model), points)
     return off(normal, beyond)
 
 

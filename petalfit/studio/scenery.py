@@ -17,6 +17,8 @@ class Scenery:
     def __init__(self, client: viser.ClientHandle) -> None:
         self._client, self._scene = client, client.scene
         self._scene.set_up_direction("+y")
+        # A petal casts hardly any on itself, and they cost most of a frame.
+        self._scene.configure_default_lights(cast_shadow=False)
         self._faces: Int[np.ndarray, "f 3"] | None = None
         self._surface: viser.MeshHandle | None = None
         self._extent = 1.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import warnings
 from pathlib import Path
 
 import viser
@@ -27,6 +28,8 @@ class Studio:
     """
 
     def __init__(self, port: int = PORT) -> None:
+        # What is drawn for a tab that has just been closed is lost, and nobody misses it.
+        warnings.filterwarnings("ignore", r"Queued a \w+ on a closed connection")
         self._workshop = Workshop()
         self._folder: Path | None = folder_in_common()
         self._sessions: dict[int, Session] = {}
