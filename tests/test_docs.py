@@ -7,7 +7,6 @@ from pathlib import Path
 import jax
 import pytest
 
-import petalfit as pf
 from petalfit.flowers import flower_from_json
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -33,22 +32,6 @@ def test_the_file_of_the_page_is_the_same_flower():
     (text,) = blocks("flowers.md", "json")
     flower = flower_from_json(json.loads(text))
     assert [len(series) for series in flower.series] == [8, 20, 1]
-
-
-def test_the_organ_of_the_page_is_fitted(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    names: dict = {}
-    organ, use = blocks("new_organ.md", "python")
-    exec(organ, names)
-    exec(use, names)
-    truth, result, again = names["truth"], names["result"], names["again"]
-    for name in result.names:
-        error = abs(result.values[name] - float(getattr(truth, name)))
-        assert error < 5 * result.stderr[name], name
-        assert result.identifiable[name]
-    assert again.values == result.values
-    with pytest.raises(pf.TargetError, match="give its class as model"):
-        pf.FitResult.load("floret.json")
 
 
 @pytest.mark.parametrize("page", sorted(path.name for path in DOCS.glob("*.md")))
