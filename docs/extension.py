@@ -127,7 +127,9 @@ def parameter_table(kind: type) -> Iterator[str]:
             value = getattr(value, part)
         meaning = p.meaning + (" (fixed unless named in ``free``)" if p.fixed else "")
         symbol = "" if p.symbol == name else p.symbol.replace("_", r"\_")
-        span = [f"{low:g} … {high:g}".replace("-", "−") for low, high in (p.bounds, p.typical)]
+        spans = p.bounds, p.typical
+        span = [f"{low:g}\N{NO-BREAK SPACE}…\N{NO-BREAK SPACE}{high:g}" for low, high in spans]
+        span = [text.replace("-", "−") for text in span]
         rows.append((f"``{name}``", symbol, f"{float(value):g}", p.unit, *span, meaning))
     for row in rows:
         for k, cell in enumerate(row):
@@ -156,8 +158,21 @@ def markup(lines: list[str]) -> list[str]:
     return done
 
 
+# Of a property's "Of the distances: pixels" napoleon makes a type and a description.
+_properties: dict[str, list[str]] = {}
+
+
+def keep_properties(
+    app: object, what: str, name: str, thing: object, options: object, lines: list[str]
+) -> None:
+    """Before napoleon: what a property says, as it says it."""
+    if isinstance(thing, property):
+        _properties[name] = list(lines)
+
+
 def process(app: object, what: str, name: str, thing: object, options: object, lines: list) -> None:
     """Everything of the above, for autodoc."""
+    lines[:] = _properties.pop(name, lines)
     types: dict[str, str] = {}
     returns: str | None = None
     if inspect.isclass(thing):
@@ -244,6 +259,7 @@ def help_of(name: str) -> str:
 
 def setup(app) -> dict[str, bool]:
     app.add_directive("command-help", CommandHelp)
+    app.connect("autodoc-process-docstring", keep_properties, priority=400)
     # After napoleon, which connects with the usual priority.
     app.connect("autodoc-process-docstring", process, priority=900)
     app.connect("autodoc-process-signature", signature)
