@@ -13,6 +13,7 @@ import pictures
 import petalfit as pf
 from petalfit.colours import to_srgb
 from petalfit.surfaces import sample_uv
+from petalfit.surfaces.programs import position_and_normal
 
 ground, ring = "#fbe9ee", "#b3246a"
 truth = pf.RadialPattern(i_1=0.05, i_2=0.9, n=5.0, f=1.4, phi=0.35)
@@ -67,7 +68,8 @@ veined = pf.Colour.of("#fff3d6", "#c8702a", patterns=(ribs,))
 shape = pf.PeonyPetal(a_x=16.0, b_y=25.0, c=0.5, dx=0.5, dy=4.0, rib_frequency=15.0)
 with jax.enable_x64(True):
     u, v = sample_uv(shape, 1500, rng).T  # uniform by area
-    points = np.asarray(shape(u, v)) + 0.05 * rng.standard_normal((1500, 3))
+    points, _ = position_and_normal(shape, u, v)
+    points = points + 0.05 * rng.standard_normal((1500, 3))
     colours = np.asarray(to_srgb(veined(u, v))) + 0.02 * rng.standard_normal((1500, 3))
 cloud = pf.PointCloud(points, colours=np.clip(colours, 0, 1))
 

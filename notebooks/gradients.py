@@ -20,6 +20,7 @@ import petalfit as pf
 from petalfit.fitting.coordinates import Coordinates
 from petalfit.fitting.implicit import solve_differentiably
 from petalfit.residuals import Data, nearest_nodes, refine_foot_points
+from petalfit.surfaces.programs import position_and_normal
 
 NOISE = 0.05
 truth = pf.Sepal(a_x=9.0, b_y=15.0, c=1.1, cup=1.4, bend=2.5)
@@ -29,7 +30,15 @@ jax.config.update("jax_enable_x64", True)
 coordinates = Coordinates.of(truth, free)
 start = jnp.asarray(coordinates.inverse(coordinates.template))
 x = jnp.asarray(points)
-uv = refine_foot_points(coordinates.template, x, nearest_nodes(coordinates.template, x), 6)
+
+
+@jax.jit
+def foot_points(model, x):
+    """Where the points lie on the surface, (u, v) each."""
+    return refine_foot_points(model, x, nearest_nodes(model, x), 6)
+
+
+uv = foot_points(coordinates.template, x)
 
 
 @jax.jit
@@ -67,10 +76,10 @@ pictures.table(
 # the bend by the tip, and the cup by the margins against the middle, as a botanist would measure them.
 
 # %%
-with np.errstate(all="raise"):
-    normal = np.asarray(truth.normal(*uv.T))
-    lifted = np.einsum("pnk,nk->pn", by_points, normal)
-    pulled = np.linalg.norm(by_points, axis=-1)
+u, v = np.asarray(uv).T
+_, normal = position_and_normal(truth, u, v)
+lifted = np.einsum("pnk,nk->pn", by_points, normal)
+pulled = np.linalg.norm(by_points, axis=-1)
 figure, boxes = plt.subplots(1, 5, figsize=(10.0, 3.2))
 for box, name, effect in zip(boxes, free, lifted, strict=True):
     limit = np.quantile(np.abs(effect), 0.98)
@@ -89,7 +98,6 @@ def share(name, where):
     return effect[where].sum() / effect.sum()
 
 
-u, v = np.asarray(uv).T
 tip, margin = v > 0.75, np.abs(u) > 0.375  # a quarter of the domain each
 assert share("bend", tip) > 0.3
 assert share("a_x", margin) > 0.3

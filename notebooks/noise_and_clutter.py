@@ -9,13 +9,13 @@
 import dataclasses
 
 import jax
-import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 import pictures
 
 import petalfit as pf
 from petalfit.surfaces import sample_uv
+from petalfit.surfaces.programs import position_and_normal
 
 truth = pf.PeonyPetal(a_x=16.0, b_y=25.0, c=0.5, dx=0.5, dy=4.0, rib_frequency=15.0)
 NAMES = tuple(name for name, p in pf.parameters(truth).items() if not p.fixed)
@@ -38,9 +38,10 @@ def cramer_rao(n, noise, seed=0):
         return dataclasses.replace(truth, **dict(zip(NAMES, values, strict=True)))(u, v)
 
     with jax.enable_x64(True):
-        u, v = map(jnp.asarray, sample_uv(truth, n, np.random.default_rng(seed)).T)
-        slopes = jax.jit(jax.jacfwd(position))(jnp.asarray(TRUE), u, v)
-        rows = np.asarray(jnp.einsum("nxp,nx->np", slopes, truth.normal(u, v))) / noise
+        u, v = sample_uv(truth, n, np.random.default_rng(seed)).T
+        slopes = jax.jit(jax.jacfwd(position))(TRUE, u, v)
+        _, normals = position_and_normal(truth, u, v)
+    rows = np.einsum("nxp,nx->np", slopes, normals) / noise
     return np.sqrt(np.diag(np.linalg.inv(rows.T @ rows)))
 
 

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 
 import petalfit as pf
 from petalfit.report.portrait import Sheet, colours_on, portrait
+from petalfit.surfaces.programs import position_and_normal
 
 GREY, ROSE, BLUE, GREEN = "#7a7a80", "#c45a82", "#2e74b5", "#5f8f3f"
 SIGNED = LinearSegmentedColormap.from_list("signed", [BLUE, "#d9d9dd", ROSE])
@@ -55,10 +56,11 @@ def sheet(
     u, v = np.linspace(u_low, u_high, resolution[0]), np.linspace(v_low, v_high, resolution[1])
     if half:
         v = np.linspace(-np.pi, 0.0, resolution[1])
+    grid = (x.ravel() for x in np.meshgrid(u, v, indexing="ij"))
     with jax.enable_x64(True):
-        vertices = np.asarray(surface(u[:, None], v[None, :])) + shift
-        normals = np.asarray(surface.normal(u[:, None], v[None, :]))
-    return Sheet(vertices, normals, colours_on(colour, resolution))
+        vertices, normals = map(np.asarray, position_and_normal(surface, *grid))
+    vertices, normals = (x.reshape(*resolution, 3) for x in (vertices, normals))
+    return Sheet(vertices + shift, normals, colours_on(colour, resolution))
 
 
 def panels(

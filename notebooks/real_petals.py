@@ -22,18 +22,18 @@ def odd_petal(n, seed=0):
     """Points (n, 3) of a surface that is in no family."""
     rng = np.random.default_rng(seed)
     t, s = rng.uniform(-1, 1, 6 * n), rng.uniform(0, 1, 6 * n)
-    half = 0.16 + 0.84 * np.sin(np.pi * s**0.85 / 1.25) ** 1.3  # half width along the petal
+    half = 0.13 + 0.87 * np.sin(np.pi * s**1.1 / 1.12) ** 1.1  # half width along the petal
     keep = rng.uniform(size=6 * n) < half / half.max()
     t, s, half = t[keep][:n], s[keep][:n], half[keep][:n]
     across = 9 * half * (t + 0.12 * (1 - t**2) * np.sin(3 * s))
     along = 27 * (s + 0.07 * s**4 * (np.abs(t) ** 1.5 - 0.6 * t - 0.9))
-    turn = 0.15 * along / 27 + 0.9 * (along / 27) ** 3  # the midrib winds up
+    turn = 0.15 * along / 27 + 0.6 * (along / 27) ** 3  # the midrib winds up
     relief = gaussian_filter(rng.standard_normal((64, 64)), 9)
     relief = 0.45 * relief / np.abs(relief).max()
     i, j = ((t + 1) * 31.4).astype(int), (s * 62.9).astype(int)
     lift = (
         0.035 * across**2
-        + 0.5 * t**4 * s**2 * np.sin(15 * s + 2 * np.sign(t))
+        + 0.5 * t**4 * s**2 * np.sin(15 * s + 2 * np.tanh(9 * t))
         - 1.1 * np.exp(-((t - 0.3) ** 2 + (2.2 * (s - 0.55)) ** 2) / 0.06)
         + relief[i, j]
     )
