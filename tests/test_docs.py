@@ -9,7 +9,9 @@ import pytest
 
 from petalfit.flowers import flower_from_json
 
-DOCS = Path(__file__).parents[1] / "docs"
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
 
 
 def blocks(page: str, language: str) -> list[str]:
@@ -34,12 +36,12 @@ def test_the_file_of_the_page_is_the_same_flower():
     assert [len(series) for series in flower.series] == [8, 20, 1]
 
 
-@pytest.mark.parametrize("page", sorted(path.name for path in DOCS.glob("*.md")))
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_links_and_pictures_exist(page):
-    text = (DOCS / page).read_text(encoding="utf-8")
+    text = page.read_text(encoding="utf-8")
     for target in re.findall(r"\]\(([^)#]+?)\)", text):
         if "://" not in target:
-            assert (DOCS / target).exists(), f"{page} points to {target}"
+            assert (page.parent / target).exists(), f"{page} points to {target}"
 
 
 def test_every_figure_of_the_paper_has_its_picture():
