@@ -1,5 +1,6 @@
 """The documentation, for Sphinx: `make docs`."""
 
+import hashlib
 import os
 import re
 import sys
@@ -28,7 +29,13 @@ nb_execution_raise_on_error = True
 nb_execution_timeout = 180  # seconds for a cell: the first one compiles
 nb_execution_show_tb = True
 nb_merge_streams = True
-# What one notebook compiled is there for the next.
+# What one notebook compiled is there for the next. Programs of functions and classes that a notebook
+# defines are known by their names: another text of the notebooks has a folder of its own.
+_notebooks = b"".join(
+    path.read_bytes() for path in sorted((HERE.parent / "notebooks").glob("*.py"))
+)
+_programs = HERE.parent / "build" / "programs" / hashlib.sha256(_notebooks).hexdigest()[:12]
+os.environ.setdefault("PETALFIT_CACHE", str(_programs))
 os.environ["PYTHONSTARTUP"] = str(HERE / "kernel.py")
 
 myst_enable_extensions = ["colon_fence"]

@@ -16,7 +16,7 @@ from petalfit.surfaces import sample_uv
 from petalfit.surfaces.programs import position_and_normal
 
 ground, ring = "#fbe9ee", "#b3246a"
-truth = pf.RadialPattern(i_1=0.05, i_2=0.9, n=5.0, f=1.4, phi=0.35)
+truth = pf.RadialPattern(i_1=0.05, i_2=0.9, n=5.0, f=0.9, phi=0.2)
 painted = pf.Colour.of(ground, ring, patterns=(truth,))
 rng = np.random.default_rng(2)
 image = painted.texture((96, 72)) / 255 + 0.04 * rng.standard_normal((96, 72, 3))
@@ -69,7 +69,7 @@ shape = pf.PeonyPetal(a_x=16.0, b_y=25.0, c=0.5, dx=0.5, dy=4.0, rib_frequency=1
 with jax.enable_x64(True):
     u, v = sample_uv(shape, 1500, rng).T  # uniform by area
     points, _ = position_and_normal(shape, u, v)
-    points = points + 0.05 * rng.standard_normal((1500, 3))
+    points = np.asarray(points) + 0.05 * rng.standard_normal((1500, 3))
     colours = np.asarray(to_srgb(veined(u, v))) + 0.02 * rng.standard_normal((1500, 3))
 cloud = pf.PointCloud(points, colours=np.clip(colours, 0, 1))
 

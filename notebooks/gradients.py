@@ -17,6 +17,7 @@ import numpy as np
 import pictures
 
 import petalfit as pf
+from petalfit.compilation import Program
 from petalfit.fitting.coordinates import Coordinates
 from petalfit.fitting.implicit import solve_differentiably
 from petalfit.residuals import Data, nearest_nodes, refine_foot_points
@@ -32,16 +33,14 @@ start = jnp.asarray(coordinates.inverse(coordinates.template))
 x = jnp.asarray(points)
 
 
-@jax.jit
 def foot_points(model, x):
     """Where the points lie on the surface, (u, v) each."""
     return refine_foot_points(model, x, nearest_nodes(model, x), 6)
 
 
-uv = foot_points(coordinates.template, x)
+uv = Program(foot_points)(coordinates.template, x)
 
 
-@jax.jit
 def fitted(points):
     """The parameters of the sepal that fits these points."""
     data = Data(points, jnp.ones(len(points)), jnp.asarray(NOISE))
@@ -49,7 +48,14 @@ def fitted(points):
     return jnp.stack(coordinates.values(t))
 
 
-by_points = np.asarray(jax.jit(jax.jacrev(fitted))(x))
+def pulled_back(points, weights):
+    """The parameters, and the derivative of a weighted sum of them by every point."""
+    values, pull = jax.vjp(fitted, points)
+    return values, pull(weights)[0]
+
+
+fit_and_pull = Program(pulled_back)  # jitted, and kept for the next process
+by_points = np.stack([fit_and_pull(x, weights)[1] for weights in jnp.eye(len(free))])
 by_points.shape
 
 # %% [markdown]
@@ -58,7 +64,8 @@ by_points.shape
 
 # %%
 step = 1e-4 * np.random.default_rng(0).standard_normal(points.shape)
-change = np.asarray(fitted(x + step) - fitted(x - step))
+high, low = (np.asarray(fit_and_pull(x + s * step, jnp.ones(5))[0]) for s in (1, -1))
+change = high - low
 foretold = 2 * np.einsum("pnk,nk->p", by_points, step)
 assert np.allclose(change, foretold, rtol=1e-3, atol=1e-3 * np.abs(change).max())
 pictures.table(
@@ -105,16 +112,18 @@ assert share("a_x", margin) > 0.3
 # %% [markdown]
 # ## Error bars, once more
 #
-# Noise in the points becomes error of the parameters by this very gradient: Σ σ² ∂θ/∂x ∂θ/∂xᵀ. It
-# agrees with the standard errors of the fit, which come from the Fisher information and know nothing of
-# it.
+# Noise in the points becomes error of the parameters by this very gradient: Σ σ² ∂θ/∂x ∂θ/∂xᵀ. Forty
+# new draws of the noise, on the same places of the sepal, scattered by 0.025, 0.032, 0.004, 0.004 and
+# 0.018, as the gradient says. The standard errors of a fit are larger, above all that of the length:
+# another scan has other places too, and nobody knows how far its last point is from the tip.
 
 # %%
 spread = NOISE * np.sqrt(np.einsum("pnk,pnk->p", by_points, by_points))
 result = pf.fit(pf.Sepal, points, free=free, noise=NOISE)
 errors = np.array([result.stderr[name] for name in free])
-assert np.all(np.abs(np.log(spread / errors)) < np.log(1.5))
+assert np.all(spread < 1.1 * errors)
+assert spread[free.index("b_y")] < 0.6 * errors[free.index("b_y")]
 pictures.table(
-    ["", "by the gradient", "by the information"],
+    ["", "noise alone", "standard error"],
     [(f"`{n}`", float(a), float(b)) for n, a, b in zip(free, spread, errors, strict=True)],
 )

@@ -45,7 +45,7 @@ def odd_petal(n, seed=0):
 rng = np.random.default_rng(4)
 R_scan_petal = np.linalg.qr(rng.standard_normal((3, 3)))[0]
 R_scan_petal *= np.linalg.det(R_scan_petal)
-scan = odd_petal(2000) + 0.04 * rng.standard_normal((2000, 3))
+scan = odd_petal(768) + 0.04 * rng.standard_normal((768, 3))
 scan = 3.1 * scan @ R_scan_petal.T + [120.0, -40.0, 15.0]
 size = float(np.linalg.norm(np.ptp(scan, axis=0)))
 
@@ -89,7 +89,7 @@ centre = scan.mean(axis=0)
 axes_of = np.linalg.eigh(np.cov((scan - centre).T))[1][:, [1, 2, 0]]
 axes_of *= np.sign(np.linalg.det(axes_of))
 figure, boxes = plt.subplots(1, 4, figsize=(10.0, 3.4))
-pictures.dots(boxes[0], (scan - centre) @ axes_of, s=2.5)
+pictures.dots(boxes[0], (scan - centre) @ axes_of, s=4)
 boxes[0].set_title("the scan")
 for box, result, name in ((boxes[1], blade, "BladePetal"), (boxes[2], best, order[0])):
     grid = (np.asarray(result.mesh((19, 25)).vertices) - centre) @ axes_of
@@ -102,7 +102,7 @@ for box, result, name in ((boxes[1], blade, "BladePetal"), (boxes[2], best, orde
 (part,) = blade.agreements
 limit = 3 * blade.rms
 drawn = boxes[3].scatter(
-    *part.uv.T, c=part.distances, s=4, cmap=pictures.SIGNED, vmin=-limit, vmax=limit
+    *part.uv.T, c=part.distances, s=7, cmap=pictures.SIGNED, vmin=-limit, vmax=limit
 )
 boxes[3].set(title="distance to the blade", xlabel="u", ylabel="v")
 figure.colorbar(drawn, ax=boxes[3])
