@@ -29,6 +29,7 @@ nb_execution_raise_on_error = True
 nb_execution_timeout = 180  # seconds for a cell: the first one compiles
 nb_execution_show_tb = True
 nb_merge_streams = True
+nb_render_markdown_format = "gfm"  # of tables in outputs
 # What one notebook compiled is there for the next. Programs of functions and classes that a notebook
 # defines are known by their names: another text of the notebooks has a folder of its own.
 _notebooks = b"".join(

@@ -91,7 +91,7 @@ with tempfile.TemporaryDirectory() as folder:
 assert again.values == result.values
 
 # %% [markdown]
-# ## Twenty of them
+# ## A flower of them
 #
 # An organ stands in a flower like any of the paper's.
 

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 import jax
 import matplotlib.pyplot as plt
 import numpy as np
+from IPython import get_ipython
+from IPython.core.pylabtools import select_figure_formats
 from IPython.display import Markdown
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
@@ -20,6 +22,9 @@ GREY, ROSE, BLUE, GREEN = "#7a7a80", "#c45a82", "#2e74b5", "#5f8f3f"
 SIGNED = LinearSegmentedColormap.from_list("signed", [BLUE, "#d9d9dd", ROSE])
 PINK, LEAF = pf.Colour.of("#f0b4c6"), pf.Colour.of("#84a94f")
 
+# Figures that pyplot does not know are shown too; outside of Jupyter there is nothing to tell.
+if shell := get_ipython():
+    select_figure_formats(shell, {"png"}, bbox_inches="tight")
 plt.rcParams.update(
     {
         "figure.dpi": 110,
