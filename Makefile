@@ -66,6 +66,11 @@ figures: $(READY)  ## make the pictures of docs/ again
 gallery: $(READY)  ## make the pictures of docs/gallery.md again
 	$(BIN)/python docs/gallery.py
 
+.PHONY: docs
+docs: $(READY)  ## the documentation into build/docs; every notebook is run
+	$(BIN)/python -m sphinx -W -n -q -E -c docs -d build/doctrees . build/docs
+	@echo "Open build/docs/index.html"
+
 .PHONY: constraints
 constraints: $(READY)  ## pin the newest versions that pyproject.toml allows
 	printf 'hatchling\nuv\n' | $(UV) pip compile --quiet --upgrade --universal --python-version 3.11 \

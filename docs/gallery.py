@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,30 +13,16 @@ from matplotlib.figure import Figure
 
 import petalfit as pf
 from petalfit.flowers import STAMENS
-from petalfit.report.portrait import Sheet, colours_on, flower_sheets, portrait
+from petalfit.report.portrait import Sheet, flower_sheets, portrait
+
+sys.path.append(str(Path(__file__).parents[1] / "notebooks"))
+import pictures  # what notebooks draw with
+from pictures import sheet
 
 FOLDER = Path(__file__).parent / "gallery"
 GREY = "#7a7a80"
 GREEN, ROSE, WHITE = pf.Colour.of("#84a94f"), pf.Colour.of("#f0b4c6"), pf.Colour.of("#f4efe6")
 Panel = tuple[str, list[Sheet]]
-
-
-def sheet(
-    surface: pf.AbstractSurface,
-    colour: pf.Colour = ROSE,
-    shift: Sequence[float] = (0.0, 0.0, 0.0),
-    half: bool = False,
-    resolution: tuple[int, int] = (97, 49),
-) -> Sheet:
-    """A surface as it is drawn; `half` shows only the part behind the axis of one that runs around."""
-    (u_low, u_high), (v_low, v_high) = surface.domain
-    u, v = np.linspace(u_low, u_high, resolution[0]), np.linspace(v_low, v_high, resolution[1])
-    if half:
-        v = np.linspace(-np.pi, 0.0, resolution[1])
-    with jax.enable_x64(True):
-        vertices = np.asarray(surface(u[:, None], v[None, :])) + shift
-        normals = np.asarray(surface.normal(u[:, None], v[None, :]))
-    return Sheet(vertices, normals, colours_on(colour, resolution))
 
 
 def assembly(organ: pf.AbstractAssembly, colours: dict[str, pf.Colour]) -> list[Sheet]:
@@ -50,25 +37,9 @@ def series(organs: pf.Series) -> list[Sheet]:
     return flower_sheets(flower)
 
 
-def draw(
-    name: str,
-    panels: Sequence[Panel],
-    columns: int,
-    size: int = 360,
-    azimuth: float = 0.4,
-    elevation: float = 0.35,
-) -> None:
-    """Panels in rows, each with its title."""
-    rows = -(-len(panels) // columns)
-    figure = Figure(figsize=(2.4 * columns, 2.75 * rows))
-    for number, (title, sheets) in enumerate(panels):
-        axes = figure.add_subplot(rows, columns, number + 1)
-        picture = portrait(sheets, (size, size), azimuth, elevation)
-        axes.imshow(picture, interpolation="antialiased")
-        axes.set_title(title, color=GREY, fontsize=9)
-        axes.set_axis_off()
-    figure.tight_layout(pad=0.8)
-    save(figure, name)
+def draw(name: str, panels: Sequence[Panel], columns: int, **look: float) -> None:
+    """Panels in rows, each with its title, as a file."""
+    save(pictures.panels(panels, columns, **look), name)
 
 
 def save(figure: Figure, name: str) -> None:

@@ -61,6 +61,7 @@ class BladePetal(AbstractDeformedSurface):
 
     Attributes:
         relief: Whether midrib, ribs and ruffle are there; without, fits are faster.
+        sided: The parameters that change their sign when the blade is turned over.
     """
 
     length: Scalar = length(10.0, "L", (0.01, 1000.0), (3.0, 40.0), "along the midrib")

@@ -78,6 +78,18 @@ def fit_petal(
 
     With model="auto" all families of petals are fitted to a cloud, and the one that explains it best for
     what it may choose is the result; its `ranking` has the others.
+
+    Args:
+        target: See `fit`.
+        model: A petal; of an instance, parameters that are not free keep their values. Or "auto".
+        options: The other options of `fit`.
+
+    Returns:
+        The result. Read its `warnings`.
+
+    Raises:
+        TargetError: The target cannot be used, or the options do not fit the model.
+        FitError: The solver failed, and `throw` is True.
     """
     return fit(model, target, **options)  # pyright: ignore[reportArgumentType]
 

@@ -34,6 +34,10 @@ _ARRANGEMENTS = ("whorls", "recursion", "scattered", "l_system", "azimuth")
 def save_flower(flower: Flower, path: str | os.PathLike[str]) -> None:
     """Write a flower as JSON, lossless, every number as it is; `load_flower` gives it back.
 
+    Args:
+        flower: The flower.
+        path: The file; an existing one is replaced.
+
     Raises:
         OSError: The file cannot be written. It is written whole or not at all.
     """

@@ -98,7 +98,7 @@ class Camera:
         """A pinhole camera: X is seen at the first two of K (R X + t) divided by the third.
 
         Args:
-            K: Intrinsics [[f_x, skew, c_x], [0, f_y, c_y], [0, 0, 1]] in pixels.
+            K: Intrinsics, (3, 3): [[f_x, skew, c_x], [0, f_y, c_y], [0, 0, 1]] in pixels.
             rotation: R, (3, 3), from the world's frame to the camera's.
             translation: t, (3,), in the world's unit of length.
             shape: Rows and columns of the image.

@@ -58,6 +58,9 @@ def read_transforms(path: str | os.PathLike[str]) -> dict[str, Camera]:
 def read_cameras(path: str | os.PathLike[str]) -> Camera | dict[str, Camera]:
     """One camera from its JSON (see `Camera.from_json`), or those of a `transforms.json` by image.
 
+    Args:
+        path: The JSON file.
+
     Raises:
         TargetError: The file cannot be read, or is neither.
     """

@@ -37,7 +37,13 @@ class Parameter:
 
 
 def parameter(default: float, **declaration: Any) -> Any:
-    """A field of a component, declared as a `Parameter`; `default` is its value when not given."""
+    """A field of a component, declared as a `Parameter`.
+
+    Args:
+        default: Its value when not given.
+        declaration: The attributes of a `Parameter`: symbol, unit, bounds, typical, meaning and, if need
+            be, fixed.
+    """
     return eqx.field(default=default, metadata={_KEY: Parameter(**declaration)})
 
 
@@ -112,6 +118,9 @@ def parameters(model: eqx.Module | type[eqx.Module]) -> dict[str, Parameter]:
 
     Those of a component in a field come at the field's place, by dotted names ("filament.h"), or by their
     own if the field is `WRAPPED`.
+
+    Args:
+        model: A class, or an instance of one.
     """
     found = {}
     for field in dataclasses.fields(model):
