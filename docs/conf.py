@@ -62,7 +62,7 @@ html_copy_source = False
 html_show_copyright = False
 html_show_sphinx = False
 pygments_style = "friendly"
-pygments_dark_style = "material"
+pygments_dark_style = "github-dark"
 html_theme_options = {
     "light_css_variables": {"color-brand-primary": "#a83f6b", "color-brand-content": "#a83f6b"},
     "dark_css_variables": {"color-brand-primary": "#e58fb0", "color-brand-content": "#e58fb0"},
