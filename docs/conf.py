@@ -1,6 +1,5 @@
 """The documentation, for Sphinx: `make docs`."""
 
-import hashlib
 import os
 import re
 import sys
@@ -30,13 +29,8 @@ nb_execution_timeout = 180  # seconds for a cell: the first one compiles
 nb_execution_show_tb = True
 nb_merge_streams = True
 nb_render_markdown_format = "gfm"  # of tables in outputs
-# What one notebook compiled is there for the next. Programs of functions and classes that a notebook
-# defines are known by their names: another text of the notebooks has a folder of its own.
-_notebooks = b"".join(
-    path.read_bytes() for path in sorted((HERE.parent / "notebooks").glob("*.py"))
-)
-_programs = HERE.parent / "build" / "programs" / hashlib.sha256(_notebooks).hexdigest()[:12]
-os.environ.setdefault("PETALFIT_CACHE", str(_programs))
+# What one notebook compiled is there for the next.
+os.environ.setdefault("PETALFIT_CACHE", str(HERE.parent / "build" / "programs"))
 os.environ["PYTHONSTARTUP"] = str(HERE / "kernel.py")
 
 myst_enable_extensions = ["colon_fence"]

@@ -54,7 +54,7 @@ def pulled_back(points, weights):
     return values, pull(weights)[0]
 
 
-fit_and_pull = Program(pulled_back)  # jitted, and kept for the next process
+fit_and_pull = Program(pulled_back)  # jitted
 by_points = np.stack([fit_and_pull(x, weights)[1] for weights in jnp.eye(len(free))])
 by_points.shape
 

@@ -25,6 +25,9 @@ from petalfit.observations.atomic import atomic_path
 # A fifth less to wait for, and programs just as fast.
 OPTIONS = {"xla_llvm_disable_expensive_passes": True}
 
+# Packages whose classes and functions are told apart by petalfit's source and by versions.
+_KNOWN = {"petalfit", "equinox", "jax", "jaxlib", "lineax", "numpy", "optimistix", "builtins"}
+
 _DIGEST = hashlib.sha256().digest_size
 # Models of classes that pickle cannot find again, and what XLA does not serialise.
 _NOT_KEPT = (
@@ -42,10 +45,11 @@ class ExecutableStore:
     """Compiled programs in memory and in a folder.
 
     A file is named by all that a program depends on: petalfit's source, the versions of what traces
-    and compiles it, and the structure, shapes and types of the arguments. Files of programs that
-    nobody asks for any more are left to whoever owns the folder, and so is the choice of a folder for
-    each kind of processor. Reading a file can run anything: the folder must be the user's alone. A
-    folder that cannot be used costs time and nothing else.
+    and compiles it, and the structure, shapes and types of the arguments. A program of a function
+    or a class of somebody else's is in memory only: nothing says when its source changes. Files of
+    programs that nobody asks for any more are left to whoever owns the folder, and so is the choice
+    of a folder for each kind of processor. Reading a file can run anything: the folder must be the
+    user's alone. A folder that cannot be used costs time and nothing else.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -60,8 +64,11 @@ class ExecutableStore:
         like = function, structure, forms, _double()
         if like not in self._loaded:
             with stage("compiling"):
-                key = _key(function, structure, forms)
-                self._loaded[like] = self._load(key) or self._compile(key, function, args)
+                if _is_known(function, structure):
+                    key = _key(function, structure, forms)
+                    self._loaded[like] = self._load(key) or self._compile(key, function, args)
+                else:
+                    self._loaded[like] = self._compile(None, function, args)
         return self._loaded[like](*leaves)
 
     def _load(self, key: str) -> Callable | None:
@@ -74,7 +81,8 @@ class ExecutableStore:
                 return _structured(compiled, jax.tree.structure(example))
         return None
 
-    def _compile(self, key: str, function: Callable, args: tuple) -> Callable:
+    def _compile(self, key: str | None, function: Callable, args: tuple) -> Callable:
+        """A program, and a file of it under its key if it has one."""
         leaves, structure = jax.tree.flatten(args)
         results = []
 
@@ -86,6 +94,8 @@ class ExecutableStore:
 
         compiled = jax.jit(flat, compiler_options=OPTIONS).lower(*leaves).compile()
         (result,) = results
+        if key is None:
+            return _structured(compiled, result)
         # What came out of jax's own cache cannot always be serialised, and need not be.
         with suppress(*_NOT_KEPT):
             example = jax.tree.unflatten(result, range(result.num_leaves))
@@ -133,6 +143,17 @@ def _store_at(folder: Path) -> ExecutableStore:
 def use_folder(folder: Path | None) -> AbstractContextManager[None]:
     """While the block runs, programs come from a folder and go there; as before if there is none."""
     return nullcontext() if folder is None else use_store(_store_at(folder))
+
+
+def _is_known(function: Callable, structure: Any) -> bool:
+    """Whether a key tells all sources that a program of such arguments comes from."""
+    open_, modules = [structure], {function.__module__}
+    while open_:
+        node = open_.pop()
+        data = node.node_data()
+        modules |= {data[0].__module__} if data is not None else set()
+        open_ += node.children()
+    return {module.partition(".")[0] for module in modules} <= _KNOWN
 
 
 def _key(function: Callable, structure: Any, forms: tuple) -> str:

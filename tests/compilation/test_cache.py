@@ -5,6 +5,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -20,6 +21,10 @@ def _sum_of_squares(x: dict) -> dict:
     TRACED.append(x)
     matrix = jnp.outer(x["a"], x["a"]) + jnp.eye(11)
     return {"sum": jnp.sum(jnp.linalg.cholesky(matrix) ** 2)}
+
+
+# As if it were petalfit's: only such programs are kept.
+_sum_of_squares.__module__ = "petalfit.made_up"
 
 
 @pytest.fixture
@@ -52,6 +57,27 @@ def test_programs_are_kept(root: Path) -> None:
     assert len(TRACED) == 1
     assert entries(root)[0].stat().st_mtime_ns == written
     assert entries(root)[0].parent.stat().st_mode & 0o077 == 0
+
+
+class Scaled(eqx.Module):
+    """Somebody's own surface, say."""
+
+    by: float
+
+
+def _scaled(x: Scaled) -> jnp.ndarray:
+    return jnp.asarray(x.by) * 2
+
+
+def test_what_is_not_petalfits_is_not_kept(root: Path) -> None:
+    def tripled(x: np.ndarray) -> jnp.ndarray:
+        return 3 * jnp.asarray(x)
+
+    with compilation_cache():
+        assert float(Program(tripled)(np.float32(2))) == 6
+        _scaled.__module__ = "petalfit.made_up"
+        assert float(Program(_scaled)(Scaled(np.float32(2)))) == 4  # pyright: ignore
+    assert not [*root.glob("programs-*/*")]
 
 
 def test_another_source_is_another_program(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
