@@ -30,3 +30,11 @@ def programs_in_common(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Non
         patch.setenv(VARIABLE, str(folder / "cache"))
         with compilation_cache():
             yield
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files that take longest come first, so that no process is left alone with one of them."""
+    items.sort(key=lambda item: item.path.name not in _LONGEST)
+
+
+_LONGEST = {"test_documentation.py", "test_silhouettes.py"}

@@ -169,6 +169,10 @@ def _read_geometry(path: Path) -> "list[trimesh.parent.Geometry]":
     for compression in COMPRESSIONS:
         if kind in {"glb", "gltf"} and compression in data:
             raise TargetError(f"is compressed ({compression.decode()}); export it uncompressed.")
+    if kind == "stl" and not _is_binary_stl(data):
+        data.decode(
+            "utf-8"
+        )  # or else it is cut short: some packages make trimesh guess an encoding
     # Decoded here: for names that are not UTF-8 trimesh wants one more package.
     file = io.StringIO(data.decode("utf-8", "replace")) if kind == "obj" else io.BytesIO(data)
     # process=False: trimesh would quietly drop vertices that are NaN.
@@ -184,6 +188,11 @@ def _read_geometry(path: Path) -> "list[trimesh.parent.Geometry]":
     if not any(len(getattr(geometry, "vertices", ())) for geometry in geometries):
         raise TargetError(f"holds no vertices; it is empty, or no {path.suffix.lower()} file.")
     return geometries
+
+
+def _is_binary_stl(data: bytes) -> bool:
+    """Whether there are as many triangles, of 50 bytes each, as the header of 84 bytes says."""
+    return len(data) >= 84 and len(data) == 84 + 50 * int.from_bytes(data[80:84], "little")
 
 
 def _read_npy(path: Path) -> Columns:

@@ -12,6 +12,7 @@ from petalfit.fitting.canonical import Canonical
 from petalfit.fitting.cloud import ObservedCloud, pad
 from petalfit.fitting.coordinates import Coordinates
 from petalfit.fitting.flatten import flatten
+from petalfit.fitting.live import Glimpse, looking_on
 from petalfit.fitting.rounds import Settled
 from petalfit.fitting.sheet import _in_target
 from petalfit.residuals import Emptiness
@@ -92,20 +93,27 @@ def test_emptiness_pulls_back_what_reaches_beyond_the_points():
 
 @pytest.fixture(scope="module")
 def posed():
-    """A cloud of a blade somewhere, and what became of it."""
+    """A cloud of a blade somewhere, what became of it, and what was seen on the way."""
     rng = np.random.default_rng(3)
     cloud = TRUTH.sample(768, seed=5, noise=NOISE)
     rotation, scale, shift = random_rotation(rng), 3.7, np.array([40.0, -20.0, 9.0])
     points = scale * cloud.points @ rotation.T + shift
-    return (
-        points,
-        pf.Pose(rotation, shift, scale),
-        pf.fit_petal(points, model=pf.BladePetal, pose="similarity"),
-    )
+    seen: list[Glimpse] = []
+    with looking_on(seen.append):
+        result = pf.fit_petal(points, model=pf.BladePetal, pose="similarity")
+    return points, pf.Pose(rotation, shift, scale), result, seen
+
+
+def test_a_blade_is_shown_while_it_is_found(posed):
+    *_, seen = posed
+    assert len(seen) > 10
+    assert len(seen[-1].points) == 768
+    first, last = (np.std(glimpse.distances) for glimpse in (seen[0], seen[-1]))
+    assert last < 0.5 * first
 
 
 def test_a_blade_is_found_wherever_it_is(posed):
-    _, pose, result = posed
+    _, pose, result, _ = posed
     assert result.converged
     assert result.noise == pytest.approx(NOISE * pose.scale, rel=0.05)
     determined = [name for name in result.names if result.identifiable[name]]
@@ -122,7 +130,7 @@ def test_a_blade_is_found_wherever_it_is(posed):
 
 
 def test_the_result_does_not_depend_on_frame_unit_and_order(posed):
-    points, _, result = posed
+    points, _, result, _ = posed
     rng = np.random.default_rng(9)
     rotation, scale, shift = random_rotation(rng), 0.02, np.array([1.0, 2.0, -3.0])
     moved = (scale * points @ rotation.T + shift)[rng.permutation(len(points))]
@@ -138,7 +146,7 @@ def test_the_result_does_not_depend_on_frame_unit_and_order(posed):
 
 
 def test_the_result_survives_its_file_and_lies_in_the_targets_frame(posed, tmp_path):
-    points, _, result = posed
+    points, _, result, _ = posed
     result.save(tmp_path / "fit.json")
     again = pf.FitResult.load(tmp_path / "fit.json")
     assert again.values == result.values
@@ -196,7 +204,7 @@ def test_a_petal_that_nobody_generated(name):
 
 
 def test_the_best_family_is_picked_and_says_by_how_much(posed, tmp_path):
-    points, _, blade = posed
+    points, _, blade, _ = posed
     result = pf.fit_petal(points, model="auto", pose="similarity")
     first, second, third = result.ranking
     assert (first.model, second.model, third.model) == ("BladePetal", "SplinePetal", "PeonyPetal")
