@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any, Generic, TypeVar
 
 import jax
 
 from petalfit.compilation.stopwatch import moved
-from petalfit.compilation.store import OPTIONS, current_store
+from petalfit.compilation.store import current_store, options
 
 R = TypeVar("R")
 
@@ -22,7 +23,10 @@ class Program(Generic[R]):
 
     def __init__(self, function: Callable[..., R]) -> None:
         self._function = function
-        self._jitted = jax.jit(function, compiler_options=OPTIONS)
+
+    @cached_property
+    def _jitted(self) -> Callable[..., R]:
+        return jax.jit(self._function, compiler_options=options())
 
     def __call__(self, *args: Any) -> R:
         store = current_store()
@@ -36,4 +40,4 @@ class Program(Generic[R]):
 
     def cache_size(self) -> int:
         """How many programs this process holds for argument shapes met so far."""
-        return self._jitted._cache_size()  # pyright: ignore[reportAttributeAccessIssue]
+        return self._jitted._cache_size()  # pyright: ignore

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from petalfit.compilation import Program, use_store, watched
+from petalfit.compilation import Program, store, use_store, watched
 from petalfit.compilation import cache as module
 from petalfit.compilation.cache import VARIABLE, compilation_cache, user_cache
 
@@ -57,6 +57,18 @@ def test_programs_are_kept(root: Path) -> None:
     assert len(TRACED) == 1
     assert entries(root)[0].stat().st_mtime_ns == written
     assert entries(root)[0].parent.stat().st_mode & 0o077 == 0
+
+
+def test_options_that_the_compiler_does_not_know_are_left_out(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    every = dict(store._OPTIONS)
+    monkeypatch.setattr(store, "_OPTIONS", every | {"xla_of_the_past": True})
+    store.options.cache_clear()
+    try:
+        assert store.options() == every
+    finally:
+        store.options.cache_clear()
 
 
 class Scaled(eqx.Module):
