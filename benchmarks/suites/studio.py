@@ -66,7 +66,8 @@ def run(quick: bool, tell: Tell) -> Iterator[Metric]:
             note=f"bare viser {viser.__version__}: {min(times['viser']):.2f} s",
         )  # fmt: skip
         tell("sliders")
-        waits = _sliders(browser.new_page(viewport={"width": 900, "height": 600}), studio.url)
+        page = browser.new_page(viewport={"width": 900, "height": 600})
+        waits = _sliders(page, studio.url, 8 if quick else 25)
         yield Metric.median(
             "studio.slider_seconds", waits, "s", "less",
             note="from the key to the second frame with the new petal's distances",
@@ -77,7 +78,7 @@ def run(quick: bool, tell: Tell) -> Iterator[Metric]:
         bare.stop()
 
 
-def _sliders(page: Any, url: str) -> list[float]:
+def _sliders(page: Any, url: str, steps: int) -> list[float]:
     """Seconds from keys to frames, the first of which is discarded."""
     page.goto(url)
     go = page.get_by_role("button", name="Fit", exact=True)
@@ -87,7 +88,7 @@ def _sliders(page: Any, url: str) -> list[float]:
     page.evaluate(_WATCH)
     thumb = page.get_by_role("slider").nth(2)
     thumb.focus()
-    for _ in range(25):
+    for _ in range(steps):
         thumb.press("ArrowRight")
         page.wait_for_timeout(500)
     return [wait / 1000 for wait in page.evaluate("() => window.waits")[1:]]
