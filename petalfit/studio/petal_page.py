@@ -229,9 +229,9 @@ class PetalPage:
 
         def tell(text: str) -> None:
             work.check()
-            stage[0] = text
+            stage[0] = text + session.waiting
             with session.turn():
-                self._state.content = words.progress(text, self._costs)
+                self._state.content = words.progress(stage[0], self._costs)
 
         def look(glimpse: Glimpse) -> None:
             work.check()

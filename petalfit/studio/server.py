@@ -32,6 +32,8 @@ class Studio:
         warnings.filterwarnings("ignore", r"Queued a \w+ on a closed connection")
         self._workshop = Workshop()
         self._folder: Path | None = folder_in_common()
+        first = self._folder is None or not any(self._folder.iterdir())
+        self._again = " (compiling, which only the first fit needs)" if first else ""
         self._sessions: dict[int, Session] = {}
         with contextlib.redirect_stdout(io.StringIO()):  # viser introduces itself
             self._server = viser.ViserServer(HOST, port, verbose=False)
@@ -55,7 +57,7 @@ class Studio:
             self._server.stop()
 
     def _welcome(self, client: viser.ClientHandle) -> None:
-        session = Session(client, self._workshop, self._folder)
+        session = Session(client, self._workshop, self._folder, self._again)
         self._sessions[client.client_id] = session
         Pages(session)
 

@@ -28,10 +28,18 @@ class Session:
         gui: Its controls.
         scenery: Its scene.
         folder: Of compiled programs, which all browsers share; None for none.
+        waiting: Why fits may take their time, as a bracket behind what they are at; or nothing.
     """
 
-    def __init__(self, client: viser.ClientHandle, workshop: Workshop, folder: Path | None) -> None:
-        self._client, self._workshop, self.folder = client, workshop, folder
+    def __init__(
+        self,
+        client: viser.ClientHandle,
+        workshop: Workshop,
+        folder: Path | None,
+        waiting: str,
+    ) -> None:
+        self._client, self._workshop = client, workshop
+        self.folder, self.waiting = folder, waiting
         self._lock = threading.RLock()
         self._work: Work | None = None
         self._closed = False
