@@ -2,35 +2,28 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import pytest
 
+from benchmarks.chromium import OPTIONS, program
+
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, ConsoleMessage, Page
-
-_NAMES = ("chromium", "chromium-browser", "google-chrome")
-_OPTIONS = (
-    "--no-sandbox",
-    "--use-gl=angle",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-)
 
 
 # For a module and no longer: while it is open, asyncio takes the main thread for a running loop.
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
     """The Chromium on PATH; without one the test is skipped."""
-    program = next(filter(None, map(shutil.which, _NAMES)), None)
-    if program is None:
+    found = program()
+    if found is None:
         pytest.skip("there is no chromium on PATH: apt-get install chromium")
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=program, args=[*_OPTIONS])
+        chromium = playwright.chromium.launch(executable_path=found, args=[*OPTIONS])
         yield chromium
         chromium.close()
 

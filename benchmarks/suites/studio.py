@@ -7,15 +7,12 @@ from __future__ import annotations
 
 import contextlib
 import io
-import shutil
 from collections.abc import Iterator
 from typing import Any
 
+from benchmarks.chromium import OPTIONS, program
 from benchmarks.metric import Metric, Tell
 
-_CHROMIUM = ("chromium", "chromium-browser", "google-chrome")
-_FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"]
-_FLAGS += ["--enable-unsafe-swiftshader"]
 _A_WHILE = 240_000  # milliseconds
 _PAINTED = "() => performance.getEntriesByType('paint').at(-1)?.startTime"
 # From a key on a slider to the frame after the one that shows what the server made of it.
@@ -35,7 +32,7 @@ _WATCH = """() => {
 
 
 def run(quick: bool, tell: Tell) -> Iterator[Metric]:
-    found = next(filter(None, map(shutil.which, _CHROMIUM)), None)
+    found = program()
     if found is None:
         note = "missing: Chromium; apt-get install chromium"
         yield Metric("studio.paint_over_viser", float("nan"), "×", "less", note=note)
@@ -50,7 +47,7 @@ def run(quick: bool, tell: Tell) -> Iterator[Metric]:
         bare = viser.ViserServer("127.0.0.1", 8190, verbose=False)
     urls = {"studio": studio.url, "viser": f"http://127.0.0.1:{bare.get_port()}"}
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=found, args=_FLAGS)
+        browser = playwright.chromium.launch(executable_path=found, args=[*OPTIONS])
         times: dict[str, list[float]] = {name: [] for name in urls}
         for k in range(3 if quick else 9):
             for name, url in urls.items():

@@ -64,11 +64,10 @@ class ExecutableStore:
         like = function, structure, forms, _double()
         if like not in self._loaded:
             with stage("compiling"):
-                if _is_known(function, structure):
-                    key = _key(function, structure, forms)
-                    self._loaded[like] = self._load(key) or self._compile(key, function, args)
-                else:
-                    self._loaded[like] = self._compile(None, function, args)
+                known = _is_known(function, structure)
+                key = _key(function, structure, forms) if known else None
+                kept = None if key is None else self._load(key)
+                self._loaded[like] = kept or self._compile(key, function, args)
         return self._loaded[like](*leaves)
 
     def _load(self, key: str) -> Callable | None:

@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 from scipy.spatial import KDTree
 
-from petalfit.compilation import bucket, pad_to
+from petalfit.compilation import pad_to
 from petalfit.components import SplinePetal
 from petalfit.components.spline_petal import SEGMENTS, basis
 from petalfit.fitting import programs
@@ -99,12 +99,12 @@ def fit_spline(
             members = _members(control, own, mass, scan.clutter)
             inside = members > 0.5
             sheet = _Points(own[inside], (mass * members)[inside])
-            uv = np.asarray(feet(_surface(control), jnp.asarray(sheet.padded)))[: len(sheet.points)]
+            uv = np.asarray(feet(_surface(control), sheet.padded))[: len(sheet.points)]
         progress(f"smoothing less and less, round {number + 1} of {rounds}")
         stiffness = 10 ** np.interp(number / _ROUNDS, [0.0, 0.7], [_STIFF, _LIMP])
         uv, system = sheet.system(control, uv, stiffness * bending, 4 if number == 0 else 2)
         control = system.solved()
-        show(_surface(control), [sheet.beside(uv)])
+        show(_surface(control), [sheet.at(uv)])
         if number + 1 == rounds:
             freedom = system.freedom()
     model, own_pose = _in_own_frame(control, canonical, pose)
@@ -138,7 +138,7 @@ class _Points:
 
     def __init__(self, points: Float[np.ndarray, "n 3"], weights: Float[np.ndarray, " n"]) -> None:
         self.points, self.weights = points, weights
-        self.padded = pad_to(points, bucket(len(points)))
+        self.cloud = ObservedCloud(pad(points, weights, None))
         self.tree = KDTree(points)
         self.slack = _SLACK * spacing(self.tree)
         side = np.linspace(0, 1, _NODES)
@@ -154,8 +154,7 @@ class _Points:
     ) -> tuple[Float[np.ndarray, "n 2"], _System]:
         """Foot points on the sheet of some coefficients, and the equations of new ones there."""
         surface, n = _surface(control), len(self.points)
-        start = jnp.asarray(pad_to(uv, len(self.padded)))
-        uv = np.asarray(programs.refine(surface, self.padded, start, iterations))
+        uv = np.asarray(programs.refine(surface, self.padded, self._padded(uv), iterations))
         here = programs.frames(surface, jnp.asarray(uv))
         uv = uv[:n]
         normal, position, conormals, left = (
@@ -172,10 +171,17 @@ class _Points:
         self._add_emptiness(system, control, total)
         return uv, system
 
-    def beside(self, uv: Float[np.ndarray, "n 2"]) -> TangentDistance:
-        """The cloud with its foot points."""
-        cloud = ObservedCloud(pad(self.points, self.weights, None))
-        return cloud.at(jnp.asarray(pad_to(uv, len(self.padded))))
+    @property
+    def padded(self) -> Float[Array, "m 3"]:
+        """The points of the padded cloud."""
+        return self.cloud.data.points
+
+    def at(self, uv: Float[np.ndarray, "n 2"]) -> TangentDistance:
+        """The cloud with these foot points."""
+        return self.cloud.at(self._padded(uv))
+
+    def _padded(self, uv: Float[np.ndarray, "n 2"]) -> Float[Array, "m 2"]:
+        return jnp.asarray(pad_to(uv, len(self.padded)))
 
     def _add_emptiness(
         self, system: _System, control: Float[np.ndarray, "k 3"], total: float

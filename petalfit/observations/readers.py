@@ -170,9 +170,8 @@ def _read_geometry(path: Path) -> "list[trimesh.parent.Geometry]":
         if kind in {"glb", "gltf"} and compression in data:
             raise TargetError(f"is compressed ({compression.decode()}); export it uncompressed.")
     if kind == "stl" and not _is_binary_stl(data):
-        data.decode(
-            "utf-8"
-        )  # or else it is cut short: some packages make trimesh guess an encoding
+        # What is no text either is cut short; some packages make trimesh guess an encoding.
+        data.decode("utf-8")
     # Decoded here: for names that are not UTF-8 trimesh wants one more package.
     file = io.StringIO(data.decode("utf-8", "replace")) if kind == "obj" else io.BytesIO(data)
     # process=False: trimesh would quietly drop vertices that are NaN.

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,6 +10,7 @@ import equinox as eqx
 import numpy as np
 import viser
 
+from petalfit.colours import Colour
 from petalfit.components import parameters
 from petalfit.export.flower import export_flower
 from petalfit.flowers import Flower, lily, peony, save_flower, with_settings
@@ -92,13 +91,12 @@ class FlowerPage:
         organ = self._organ.value
         with self._numbers:
             for path, parameter, values in _numbers(flower, organ):
-                hint = f"{parameter.meaning} ({parameter.unit})"
 
                 def moved(path: str = path) -> None:
                     self._moved(organ, path)
 
                 self._sliders[path] = add_slider(
-                    gui, path, hint, parameter, float(np.mean(values)), self._session.latest(moved)
+                    gui, path, parameter, float(np.mean(values)), self._session.latest(moved)
                 )
                 self._controls.append(self._sliders[path])
         with self._colours:
@@ -125,20 +123,12 @@ class FlowerPage:
     def _paint(self, organ: str, part: str, k: int, rgb: tuple[int, int, int]) -> None:
         flower = self._flower
         assert flower is not None, "a flower has been grown"
-        if organ in _BASE:
-            colours = flower.colours
-            colour = colours[organ]
-        else:
-            colours = flower.series[_series_of(flower, organ)].colours
-            colour = colours[part]
-        palette = np.array(colour.palette, np.float64)
-        palette[k] = np.array(rgb) / 255
 
         def place(flower: Flower) -> Any:
-            if organ in _BASE:
-                return flower.colours[organ].palette
-            return flower.series[_series_of(flower, organ)].colours[part].palette
+            return _colours(flower, organ)[part].palette
 
+        palette = np.array(place(flower), np.float64)
+        palette[k] = np.array(rgb) / 255
         self._flower = eqx.tree_at(place, flower, palette)
         self._draw()
 
@@ -150,12 +140,10 @@ class FlowerPage:
             corners = [sheet.vertices.reshape(-1, 3) for sheet in sheets]
             self._session.scenery.look_at(np.concatenate(corners))
 
-    def _download(self, name: str, write: Callable[[Flower, str | os.PathLike[str]], None]) -> None:
-        assert self._flower is not None, "a flower has been grown"
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / name
-            write(self._flower, path)
-            self._session.download(name, path.read_bytes())
+    def _download(self, name: str, write: Callable[[Flower, Path], None]) -> None:
+        flower = self._flower
+        assert flower is not None, "a flower has been grown"
+        self._session.download(name, lambda path: write(flower, path))
 
 
 _GLB = "As glTF: organs as named nodes, textures, the parameters in extras"
@@ -196,15 +184,18 @@ def _numbers(flower: Flower, organ: str) -> list[tuple[str, Parameter, np.ndarra
     return found
 
 
+def _colours(flower: Flower, organ: str) -> dict[str, Colour]:
+    """Of its parts."""
+    if organ in _BASE:
+        return {"": flower.colours[organ]}
+    return flower.series[_series_of(flower, organ)].colours
+
+
 def _palette(flower: Flower, organ: str) -> list[tuple[str, int, tuple[int, int, int]]]:
     """Part, number and colour of all that the organ's palettes have."""
-    if organ in _BASE:
-        colours = {"": flower.colours[organ]}
-    else:
-        colours = flower.series[_series_of(flower, organ)].colours
     return [
         (part, k, tuple(np.rint(255 * np.asarray(rgb)).astype(int).tolist()))
-        for part, colour in colours.items()
+        for part, colour in _colours(flower, organ).items()
         for k, rgb in enumerate(np.asarray(colour.palette))
     ]
 

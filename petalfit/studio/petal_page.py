@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import os
-import tempfile
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
-import viser
 from jaxtyping import Float
 
 from petalfit.components import AbstractAssembly, Posed, models, parameters
@@ -26,30 +22,20 @@ from petalfit.report import write_report
 from petalfit.report.colour import IGNORED, diverging
 from petalfit.report.scene import distance_limit
 from petalfit.studio import words
+from petalfit.studio.petal_controls import CASES, FITTED, PetalControls
 from petalfit.studio.pictures import picture
 from petalfit.studio.session import Session
 from petalfit.studio.sliders import add_slider
 from petalfit.studio.uploads import Photo, read_upload
 from petalfit.studio.work import CalledOff, Work
 from petalfit.surfaces import AbstractSurface, Pose, value_at, with_value
-from petalfit.synthetic import RECIPES, make, make_masks
+from petalfit.synthetic import make, make_masks
 
 _RESOLUTION = (65, 65)  # that of `FitResult.mesh`, whose program is there
 _IN_VIEW = 20_000  # points; of more a random choice
 _BESIDE = 2000  # of them, whose distances follow the sliders
 _OFTEN = 0.08  # seconds between two pictures of a fit that runs
 _FEW = 12  # rounds seen; with fewer the fit was too quick for the eye, and is shown again
-_FIRST = "noisy"
-_CASES = {
-    f"{case.name}: {case.about}": case
-    for case in RECIPES
-    if len(case.sights) + (case.points > 0) == 1
-}
-_FITTED = "the fit"
-_WELCOME = (
-    "Open a scan, a mesh, a mask or a photo of a petal, or choose a case; then fit it. "
-    "Nothing leaves this computer."
-)
 
 
 class PetalPage:
@@ -67,75 +53,22 @@ class PetalPage:
         self._some = np.arange(0)
         self._sliders: list[Any] = []
         self._rounds: list[Any] = []
-        self._build()
+        self._controls = PetalControls(session.gui)
+        self.place = self._controls.place
+        self._connect()
 
-    def _build(self) -> None:
-        gui, reacting = self._session.gui, self._session.reacting
-        self.place = gui.add_folder(None)
-        with self.place:
-            gui.add_html(words.soft(_WELCOME))
-            self._upload = gui.add_upload_button(
-                "Open a file",
-                icon=viser.Icon.UPLOAD,
-                hint="Cloud or mesh (.ply .obj .stl .glb .xyz .txt .csv .npy .npz), mask or photo "
-                "(.png .jpg .tif ...), camera of the mask or an earlier fit (.json)",
-            )
-            self._case = gui.add_dropdown(
-                "Case", [*_CASES], initial_value=next(name for name in _CASES if _is_first(name))
-            )
-            self._about = gui.add_html("")
-            self._picture = gui.add_image(np.full((2, 2, 3), 255, np.uint8), visible=False)
-            with gui.add_folder(None, visible=False) as self._cut:
-                self._spot = gui.add_vector2(
-                    "On the petal", (0.0, 0.0), step=1.0,
-                    hint="A place on it, in pixels from the left and from the top of the photo",
-                )  # fmt: skip
-                again = gui.add_button("Cut it out again", icon=viser.Icon.SCISSORS)
-            with gui.add_folder("Fit"):
-                self._kind = gui.add_dropdown(
-                    "Model", ["auto", *models()], initial_value="PeonyPetal",
-                    hint="auto fits every family of petals and keeps the one that explains best",
-                )  # fmt: skip
-                self._pose = gui.add_dropdown(
-                    "Pose", ["known", "rigid", "similarity"],
-                    hint="known: in the model's frame and unit; rigid: anywhere, in its unit; "
-                    "similarity: anywhere, in any unit",
-                )  # fmt: skip
-                self._loss = gui.add_dropdown(
-                    "Loss", ["linear", "robust"],
-                    hint="robust if there may be strays, clutter or other things",
-                )  # fmt: skip
-                self._go = gui.add_button("Fit", color="teal", icon=viser.Icon.PLAYER_PLAY)
-                self._stop = gui.add_button("Cancel", icon=viser.Icon.X, visible=False)
-                self._state = gui.add_html("")
-            with gui.add_folder("Result", visible=False) as self._found:
-                self._verdict = gui.add_html("")
-                self._table = gui.add_html("")
-                self._start = gui.add_dropdown(
-                    "Show", [_FITTED], hint="Other starts of the fit, and where they ended"
-                )
-                self._round = gui.add_folder(None)
-                with gui.add_folder("Download", expand_by_default=True):
-                    files = {
-                        name: gui.add_button(name, icon=viser.Icon.DOWNLOAD, hint=hint)
-                        for name, hint in _FILES.items()
-                    }
-            with gui.add_folder("Parameters", visible=False) as self._numbers:
-                self._edited = gui.add_html("")
-            with gui.add_folder("View"):
-                self._show_surface = gui.add_checkbox("surface", True)
-                self._show_points = gui.add_checkbox("points", True)
-                self._show_normals = gui.add_checkbox("normals", False)
-                self._key = gui.add_html("", visible=False)
-        self._upload.on_upload(reacting(self._uploaded))
-        self._case.on_update(reacting(lambda _: self.open_case()))
-        again.on_click(reacting(lambda _: self._cut_again()))
-        self._go.on_click(reacting(lambda _: self._fit()))
-        self._stop.on_click(lambda _: self._cancel())
-        self._start.on_update(reacting(lambda _: self._show_start()))
-        for name, button in files.items():
+    def _connect(self) -> None:
+        """What each control does."""
+        reacting, controls = self._session.reacting, self._controls
+        controls.upload.on_upload(reacting(self._uploaded))
+        controls.case.on_update(reacting(lambda _: self.open_case()))
+        controls.again.on_click(reacting(lambda _: self._cut_again()))
+        controls.go.on_click(reacting(lambda _: self._fit()))
+        controls.stop.on_click(lambda _: self._cancel())
+        controls.start.on_update(reacting(lambda _: self._show_start()))
+        for name, button in controls.files.items():
             button.on_click(reacting(lambda _, name=name: self._download(name)))
-        for box in (self._show_surface, self._show_points, self._show_normals):
+        for box in (controls.show_surface, controls.show_points, controls.show_normals):
             box.on_update(self._session.latest(self.draw))
 
     def leave(self) -> None:
@@ -147,7 +80,7 @@ class PetalPage:
 
     def open_case(self) -> None:
         """The chosen case is the target."""
-        case = _CASES[self._case.value]
+        case = CASES[self._controls.case.value]
         target = make(case) if case.points else make_masks(case)[0]
         pose = "similarity" if case.unit != 1.0 else "rigid" if any(case.turn) else "known"
         self._take(target, "", pose, "robust" if case.strays else "linear")
@@ -169,14 +102,14 @@ class PetalPage:
             self._take(read, f"{file.name}, a mask", "known", "linear")
         else:
             self._take(read, f"{file.name}, {len(read):,} points", "similarity", "linear")
-            self._kind.value = "auto"
+            self._controls.kind.value = "auto"
 
     def _take_photo(self, photo: Photo, name: str) -> None:
         self._take(photo.target, f"{name}, a photo; is this the petal?", "known", "linear", photo)
 
     def _cut_again(self) -> None:
         assert self._photo is not None, "the button shows with a photo"
-        x, y = self._spot.value
+        x, y = self._controls.spot.value
         self._take_photo(Photo.of(self._photo.picture, (float(x), float(y))), "cut out again")
 
     def _take(
@@ -192,15 +125,15 @@ class PetalPage:
         self._at_rest()
         self._target, self._photo, self._result, self._model = target, photo, None, None
         self._history, self._costs = [], []
-        self._about.content = words.text(about)
-        self._state.content = ""
-        self._pose.value, self._loss.value = pose, loss
-        if isinstance(target, Silhouette) and self._kind.value in ("auto", "SplinePetal"):
-            self._kind.value = "PeonyPetal"
-        for part in (self._found, self._numbers, self._key):
+        self._controls.about.content = words.text(about)
+        self._controls.state.content = ""
+        self._controls.pose.value, self._controls.loss.value = pose, loss
+        if isinstance(target, Silhouette) and self._controls.kind.value in ("auto", "SplinePetal"):
+            self._controls.kind.value = "PeonyPetal"
+        for part in (self._controls.found, self._controls.numbers, self._controls.key):
             part.visible = False
-        self._cut.visible = photo is not None
-        self._picture.visible = isinstance(target, Silhouette)
+        self._controls.cut.visible = photo is not None
+        self._controls.picture.visible = isinstance(target, Silhouette)
         self._scenery.clear()
         if isinstance(target, PointCloud):
             self._some = np.random.default_rng(0).permutation(len(target))[:_IN_VIEW]
@@ -214,12 +147,22 @@ class PetalPage:
             raise TargetError("a fit is running; wait for it, or cancel it first.")
         target = self._target
         assert target is not None, "a page opens with a case"
-        kind: Any = self._kind.value if self._kind.value == "auto" else models()[self._kind.value]
-        options = {"model": kind, "pose": self._pose.value, "loss": self._loss.value}
+        kind: Any = (
+            self._controls.kind.value
+            if self._controls.kind.value == "auto"
+            else models()[self._controls.kind.value]
+        )
+        options = {
+            "model": kind,
+            "pose": self._controls.pose.value,
+            "loss": self._controls.loss.value,
+        }
         self._history, self._costs, self._result, self._model = [], [], None, None
-        self._found.visible = self._numbers.visible = self._key.visible = False
-        self._stop.visible, self._go.disabled = True, True
-        self._state.content = words.progress("waiting for a core", [])
+        self._controls.found.visible = self._controls.numbers.visible = (
+            self._controls.key.visible
+        ) = False
+        self._controls.stop.visible, self._controls.go.disabled = True, True
+        self._controls.state.content = words.progress("waiting for a core", [])
         self._session.begin(lambda work: self._run(work, target, options))
 
     def _run(self, work: Work, target: PointCloud | Silhouette, options: dict[str, Any]) -> None:
@@ -231,7 +174,7 @@ class PetalPage:
             work.check()
             stage[0] = text + session.waiting
             with session.turn():
-                self._state.content = words.progress(stage[0], self._costs)
+                self._controls.state.content = words.progress(stage[0], self._costs)
 
         def look(glimpse: Glimpse) -> None:
             work.check()
@@ -240,7 +183,7 @@ class PetalPage:
                 with session.turn():
                     work.check()
                     self._draw_glimpse(glimpse, first=shown[0] == 0)
-                    self._state.content = words.progress(stage[0], self._costs)
+                    self._controls.state.content = words.progress(stage[0], self._costs)
                 drawn[0] = time.monotonic()
                 shown[0] += 1
 
@@ -258,7 +201,7 @@ class PetalPage:
             if not session.wants(work):
                 return
             self._at_rest()
-            self._state.content = words.progress("", self._costs) if self._costs else ""
+            self._controls.state.content = words.progress("", self._costs) if self._costs else ""
             outcome()
         if result is None or self._result is not result:
             return
@@ -272,16 +215,16 @@ class PetalPage:
             self._costs.append(float(np.sqrt(np.mean(glimpse.distances**2))))
 
     def _at_rest(self) -> None:
-        self._stop.visible, self._go.disabled = False, False
+        self._controls.stop.visible, self._controls.go.disabled = False, False
 
     def _cancel(self) -> None:
         """At once, without waiting for a turn that the fit may have."""
         self._session.call_off()
         self._at_rest()
-        self._state.content = words.soft("cancelling; a step that has begun ends first")
+        self._controls.state.content = words.soft("cancelling; a step that has begun ends first")
 
     def _called_off(self) -> None:
-        self._state.content = words.soft("cancelled; the petal is where it stood")
+        self._controls.state.content = words.soft("cancelled; the petal is where it stood")
 
     def _replay(self, work: Work) -> None:
         """The rounds once more, slowly enough to be seen."""
@@ -310,28 +253,30 @@ class PetalPage:
     def _settle(self, result: FitResult) -> None:
         """Shows what a fit found."""
         self._result, self._model = result, result.model
-        self._verdict.content = words.verdict(result)
-        self._table.content = words.table(result)
-        self._start.options = [_FITTED, *_ends(result)]
-        self._start.value = _FITTED
-        self._found.visible = self._numbers.visible = True
+        self._controls.verdict.content = words.verdict(result)
+        self._controls.table.content = words.table(result)
+        self._controls.start.options = [FITTED, *_ends(result)]
+        self._controls.start.value = FITTED
+        self._controls.found.visible = self._controls.numbers.visible = True
         self._add_sliders(result.model)
         self._add_rounds()
         part = result.agreements[0]
-        self._key.content = words.key(distance_limit(part), " px" if part.unit == "px" else "")
-        self._key.visible = isinstance(part.target, PointCloud)
+        self._controls.key.content = words.key(
+            distance_limit(part), " px" if part.unit == "px" else ""
+        )
+        self._controls.key.visible = isinstance(part.target, PointCloud)
         self.draw(look=True)
 
     def _add_rounds(self) -> None:
         """A slider through the rounds of the fit that has just been made."""
-        self._round.visible = len(self._history) > 1
+        self._controls.round.visible = len(self._history) > 1
         for child in self._rounds:
             child.remove()
         self._rounds = []
         if len(self._history) < 2:
             return
         last = len(self._history) - 1
-        with self._round:
+        with self._controls.round:
             handle = self._session.gui.add_slider(
                 "Round", 0, last, 1, last, hint="Where the fit stood after each round"
             )
@@ -351,7 +296,7 @@ class PetalPage:
         if result is None:
             return
         model = result.model
-        chosen = _ends(result).get(self._start.value)
+        chosen = _ends(result).get(self._controls.start.value)
         if chosen is not None:
             for name in set(chosen.values) & set(parameters(model)):
                 model = with_value(model, name, np.float64(chosen.values[name]))
@@ -364,20 +309,13 @@ class PetalPage:
         for handle in self._sliders:
             handle.remove()
         self._sliders = []
-        with self._numbers:
+        with self._controls.numbers:
             for name, parameter in parameters(model).items():
                 value = float(value_at(model, name))
-
-                def moved(name: str = name) -> None:
-                    self._moved(name)
-
-                handle = add_slider(
-                    gui, name, words.declaration(model, name), parameter, value,
-                    self._session.latest(moved),
-                )  # fmt: skip
+                handle = add_slider(gui, name, parameter, value, self._session.latest(self._moved))
                 self._sliders.append(handle)
 
-    def _moved(self, _: str) -> None:
+    def _moved(self) -> None:
         """The sliders say what the petal is."""
         if self._model is None:
             return
@@ -402,9 +340,7 @@ class PetalPage:
         if isinstance(target, PointCloud):
             distances = self._draw_points(target, pose, model)
         else:
-            self._picture.image = picture(
-                target, None if self._photo is None else self._photo.picture, model, pose
-            )
+            self._draw_outline(target, model, pose)
         if result is None:
             return
         rms = None
@@ -413,7 +349,11 @@ class PetalPage:
             weights = part.weights[self._some[: len(distances)]]
             rms = float(np.sqrt(np.average(distances**2, weights=weights + 1e-300)))
         unit = " px" if isinstance(target, Silhouette) else ""
-        self._edited.content = words.edited(result, rms, unit) if self._is_edited else ""
+        self._controls.edited.content = words.edited(result, rms, unit) if self._is_edited else ""
+
+    def _draw_outline(self, target: Silhouette, model: AbstractSurface | None, pose: Pose) -> None:
+        photo = None if self._photo is None else self._photo.picture
+        self._controls.picture.image = picture(target, photo, model, pose)
 
     def _draw_surface(self, model: AbstractSurface, look: bool) -> None:
         # Numbers of one kind, so that one program serves all.
@@ -421,8 +361,8 @@ class PetalPage:
         vertices, normals = np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals)
         if look:
             self._scenery.look_at(vertices)
-        self._scenery.surface(vertices, np.asarray(mesh.faces), self._show_surface.value)
-        self._scenery.normals(vertices, normals, self._show_normals.value)
+        self._scenery.surface(vertices, np.asarray(mesh.faces), self._controls.show_surface.value)
+        self._scenery.normals(vertices, normals, self._controls.show_normals.value)
 
     def _draw_points(
         self, target: PointCloud, pose: Pose, model: AbstractSurface | None
@@ -441,26 +381,21 @@ class PetalPage:
                 distances = float(pose.scale) * _distances(model, points)
             if distances is not None:
                 colours = np.where(used[:, None], diverging(distances / limit), IGNORED)
-        self._scenery.points(points, colours[: len(points)], self._show_points.value)
+        self._scenery.points(points, colours[: len(points)], self._controls.show_points.value)
         return distances
 
     def _draw_glimpse(self, glimpse: Glimpse, first: bool = False) -> None:
         model, points = glimpse.model, glimpse.points
         target = self._target
         if isinstance(target, Silhouette):
-            self._picture.image = picture(
-                target,
-                None if self._photo is None else self._photo.picture,
-                model,
-                Pose.identity(),
-            )
+            self._draw_outline(target, model, Pose.identity())
         if isinstance(model, Posed):
             # The petal stays where it is, and its points come to it.
             points, model = model.placement.into(points), model.surface
         self._draw_surface(model, first)
         limit = 3 * float(np.median(glimpse.distances)) if len(points) else 1.0
         colours = diverging(glimpse.distances / max(limit, 1e-300))
-        self._scenery.points(points, colours, self._show_points.value)
+        self._scenery.points(points, colours, self._controls.show_points.value)
 
     # What is taken home.
 
@@ -475,18 +410,11 @@ class PetalPage:
                 names=(), covariance=np.zeros((0, 0)),
             )  # fmt: skip
         write = {
-            "fit.json": lambda path: result.save(path),
-            "petal.glb": lambda path: export_glb(result, path),
-            "report.html": lambda path: write_report(result, path),
+            "fit.json": FitResult.save,
+            "petal.glb": export_glb,
+            "report.html": write_report,
         }[name]
-        self._session.download(name, _written(write, name))
-
-
-_FILES = {
-    "fit.json": "All numbers of the fit; open it here again, or with pf.FitResult.load",
-    "petal.glb": "The petal as it is shown, as glTF with its parameters in extras",
-    "report.html": "One page with tables and pictures, which needs no network",
-}
+        self._session.download(name, lambda path: write(result, path))
 
 
 def _distances(model: AbstractSurface, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
@@ -494,10 +422,6 @@ def _distances(model: AbstractSurface, points: Float[np.ndarray, "n 3"]) -> Floa
     with jax.enable_x64(True):
         normal, beyond, _ = beside(numbers(model), points)
     return off(normal, beyond)
-
-
-def _is_first(name: str) -> bool:
-    return name.startswith(f"{_FIRST}:")
 
 
 def _ends(result: FitResult) -> dict[str, Start]:
@@ -515,11 +439,3 @@ def _raising(error: Exception) -> Callable[[], None]:
         raise error
 
     return outcome
-
-
-def _written(write: Callable[[str | os.PathLike[str]], None], name: str) -> bytes:
-    """What a function writes into a file."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / name
-        write(path)
-        return path.read_bytes()

@@ -20,6 +20,16 @@ PORT = 8090
 _BRAND = (176, 66, 108)
 
 
+def _dress(gui: viser.GuiApi, dark: bool) -> None:
+    gui.configure_theme(
+        control_width="large",
+        dark_mode=dark,
+        show_logo=False,
+        show_share_button=False,
+        brand_color=_BRAND,
+    )
+
+
 class Studio:
     """A running server.
 
@@ -37,14 +47,8 @@ class Studio:
         self._sessions: dict[int, Session] = {}
         with contextlib.redirect_stdout(io.StringIO()):  # viser introduces itself
             self._server = viser.ViserServer(HOST, port, verbose=False)
-        gui = self._server.gui
-        gui.configure_theme(
-            control_width="large",
-            show_logo=False,
-            show_share_button=False,
-            brand_color=_BRAND,
-        )
-        gui.set_panel_label("petalfit studio")
+        _dress(self._server.gui, dark=False)
+        self._server.gui.set_panel_label("petalfit studio")
         self._server.on_client_connect(self._welcome)
         self._server.on_client_disconnect(self._take_leave)
         self.url = f"http://{HOST}:{self._server.get_port()}"
@@ -77,14 +81,7 @@ class Pages:
         self._flower.place.visible = False
         dark = gui.add_checkbox("dark", False)
         choice.on_click(session.reacting(lambda event: self._open(event.target.value)))
-        dark.on_update(
-            session.reacting(
-                lambda _: gui.configure_theme(
-                    dark_mode=dark.value, control_width="large", show_logo=False,
-                    show_share_button=False, brand_color=_BRAND,
-                )
-            )
-        )  # fmt: skip
+        dark.on_update(session.reacting(lambda _: _dress(gui, dark.value)))
         session.reacting(lambda _: self._petal.open_case())(None)
 
     def _open(self, page: str) -> None:

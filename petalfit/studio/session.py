@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -78,9 +79,12 @@ class Session:
                 "That did not work", sentence, color="red", auto_close_seconds=20
             )
 
-    def download(self, name: str, content: bytes) -> None:
-        """Gives the browser a file."""
-        self._client.send_file_download(name, content, save_immediately=True)
+    def download(self, name: str, write: Callable[[Path], None]) -> None:
+        """Gives the browser what a function writes into a file of that name."""
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / name
+            write(path)
+            self._client.send_file_download(name, path.read_bytes(), save_immediately=True)
 
     def compiled(self) -> contextlib.AbstractContextManager[None]:
         """While the block runs, compiled programs are at hand."""

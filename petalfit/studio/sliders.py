@@ -29,12 +29,15 @@ def slider_range(parameter: Parameter, value: float) -> tuple[float, float, floa
 def add_slider(
     gui: viser.GuiApi,
     label: str,
-    hint: str,
     parameter: Parameter,
     value: float,
     moved: Callable[[viser.GuiEvent[viser.GuiSliderHandle[float]]], None],
 ) -> viser.GuiSliderHandle[float]:
-    """A slider that calls `moved` whenever it is."""
+    """A slider that calls `moved` whenever it is, with the declaration for whoever hovers over it."""
+    unit = {"1": "no unit"}.get(parameter.unit, parameter.unit)
+    lowest, highest = parameter.typical
+    typical = f"typically {lowest:g} to {highest:g}"
+    hint = f"{parameter.meaning} ({parameter.symbol}; {unit}; {typical})"
     low, high, step = slider_range(parameter, value)
     shown = min(max(step * round(value / step), low), high)
     handle = gui.add_slider(label, float(low), float(high), float(step), float(shown), hint=hint)

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from petalfit.components import parameters
 from petalfit.fitting import FitResult
 from petalfit.report.colour import NEGATIVE, POSITIVE, ZERO, css
 from petalfit.report.rounding import measured, plain
@@ -120,11 +119,3 @@ def edited(result: FitResult, rms: float | None, unit: str) -> str:
     return soft(
         f"as the sliders say: rms {plain(rms)}{unit}, {rms / max(fitted, 1e-300):.3g} times the fit's"
     )
-
-
-def declaration(model: object, name: str) -> str:
-    """A parameter's meaning, unit and typical range, for whoever hovers over it."""
-    declared = parameters(model)[name]  # pyright: ignore[reportArgumentType]
-    unit = {"1": "no unit", "length": "length"}.get(declared.unit, declared.unit)
-    low, high = declared.typical
-    return f"{declared.meaning} ({declared.symbol}; {unit}; typically {low:g} to {high:g})"

@@ -91,10 +91,9 @@ def outline(
     share = 1.0 - (run[which] - along) / length[which]
     uv = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
     start, end = uv[edges.start[which]], uv[edges.end[which]]
-    folds = np.asarray(np.count_nonzero(edges.sheets[which] == 2))
     uv = start + share[:, None] * (end - start)
     uv, place, found = (
-        np.asarray(x) for x in _places(surface, camera.matrix, uv, edges.along[which], folds)
+        np.asarray(x) for x in _places(surface, camera.matrix, uv, edges.along[which])
     )
     sense = np.sum(found * normal[which], axis=-1)
     return Outline(
@@ -174,9 +173,8 @@ def _outline_places(
     matrix: Float[Array, "3 4"],
     uv: Float[Array, "n 2"],
     along: Float[Array, "n 2"],
-    folds: Int[Array, ""],
 ) -> tuple[Float[Array, "n 2"], Float[Array, "n 2"], Float[Array, "n 2"]]:
-    """The first places moved onto folds nearby; where all are seen, and normals of either sign."""
+    """The first places, near folds, moved onto them; where all are seen, and normals of either sign."""
     low, high = (jnp.asarray(side, uv.dtype) for side in zip(*surface.domain, strict=True))
 
     def facing(uv: Array) -> Array:
@@ -198,7 +196,8 @@ def _outline_places(
         return jax.lax.dynamic_update_slice_in_dim(uv, some, k * _CHUNK, 0)
 
     on_fold: Bool[Array, "n 1"] = jnp.all(along == 0, axis=-1, keepdims=True)
-    near = jax.lax.fori_loop(0, (folds + _CHUNK - 1) // _CHUNK, moved, uv)
+    chunks = (jnp.count_nonzero(on_fold) + _CHUNK - 1) // _CHUNK
+    near = jax.lax.fori_loop(0, chunks, moved, uv)
     uv = jnp.where(on_fold, near, uv)
     place, tangents = image_and_tangents(surface, matrix, uv)
     # On a fold both tangents are seen along it: the longer one tells the direction best.
