@@ -96,6 +96,7 @@ class PetalPage:
         elif isinstance(read, FitResult):
             self._take(read.agreements[0].target, f"the fit of {file.name}", "known", "linear")
             self._settle(read)
+            self._session.begin(lambda _: self._prepare_sliders(read))
         elif isinstance(read, Photo):
             self._take_photo(read, file.name)
         elif isinstance(read, Silhouette):
@@ -393,7 +394,7 @@ class PetalPage:
             # The petal stays where it is, and its points come to it.
             points, model = model.placement.into(points), model.surface
         self._draw_surface(model, first)
-        limit = 3 * float(np.median(glimpse.distances)) if len(points) else 1.0
+        limit = 3 * float(np.median(np.abs(glimpse.distances))) if len(points) else 1.0
         colours = diverging(glimpse.distances / max(limit, 1e-300))
         self._scenery.points(points, colours, self._controls.show_points.value)
 
