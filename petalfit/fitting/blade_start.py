@@ -33,6 +33,12 @@ BENDS = (
 _BENT = 512  # points that the bending is found with
 _STRIPS = 16
 _OUTSIDE = 0.02  # quantile of a strip's points that its margins are taken at
+_TURNED = (
+    "as it lies",
+    "turned by a quarter",
+    "base and tip exchanged",
+    "turned by three quarters",
+)
 _HELD_BACK = 0.3  # weight of the typical ranges against distances in tenths of the length
 
 
@@ -45,7 +51,8 @@ class BladeStart(NamedTuple):
         translation: Of its origin.
         scale: Of its unit of length.
         misfit: Root mean square distance of points to their places on it, in lengths.
-        label: Which way the cloud lies.
+        quarter: Quarter turns of the flat cloud by which the tip came up.
+        side: Which side of the cloud it is seen from, 1 or -1.
     """
 
     blade: BladePetal
@@ -53,7 +60,18 @@ class BladeStart(NamedTuple):
     translation: Float[np.ndarray, "3"]
     scale: float
     misfit: float
-    label: str
+    quarter: int = 0
+    side: float = 1.0
+
+    @property
+    def label(self) -> str:
+        """By itself."""
+        return f"way {1 + self.quarter + 4 * (self.side < 0)} of lying"
+
+    def beside(self, other: BladeStart) -> str:
+        """What it is to another start of the same cloud."""
+        turned = _TURNED[(self.quarter - other.quarter) % 4]
+        return turned if self.side == other.side else f"{turned}, from the other side"
 
 
 def blade_starts(
@@ -78,7 +96,7 @@ def blade_starts(
         q = q - 0.5 * np.sum(np.quantile(q, [_OUTSIDE, 1 - _OUTSIDE]))
         for side in (1.0,) if posed else (1.0, -1.0):
             start = _start(template, free, points, side * q, s, reach, posed)
-            found.append(start._replace(label=f"way {len(found) + 1}"))
+            found.append(start._replace(quarter=quarter, side=side))
     return sorted(found, key=lambda start: start.misfit)
 
 
@@ -125,7 +143,6 @@ def _start(
         shift + reach * step[13:16],
         size / length,
         float(np.sqrt(squares)),
-        "",
     )
 
 

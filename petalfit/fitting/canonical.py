@@ -11,6 +11,10 @@ from petalfit.components import Posed
 from petalfit.fitting import programs
 from petalfit.fitting.rounds import Seen
 
+# Of the extent, which no instrument tells apart. A cloud that comes turned or in another unit differs by
+# the last bits of float64; with these cut off its fit takes the same steps, bit by bit.
+_GRAIN = 2.0**-30
+
 
 @dataclasses.dataclass(frozen=True)
 class Canonical:
@@ -20,17 +24,19 @@ class Canonical:
         axes: Its axes in the target's frame, as columns.
         centre: Its origin there.
         unit: Its unit of length there.
+        exact: Whether points keep their last bits.
     """
 
     axes: Float[np.ndarray, "3 3"]
     centre: Float[np.ndarray, "3"]
     unit: float
+    exact: bool
 
     @classmethod
     def of(cls, points: Float[np.ndarray, "n 3"], pose: str) -> Canonical:
         """Of the cloud's middle, principal axes and extent; the target's own where the pose is known."""
         if pose == "known":
-            return cls(np.eye(3), np.zeros(3), 1.0)
+            return cls(np.eye(3), np.zeros(3), 1.0, exact=True)
         centre = points.mean(axis=0)
         centred = points - centre
         _, axes = np.linalg.eigh(centred.T @ centred)
@@ -38,11 +44,15 @@ class Canonical:
         axes = axes * np.where(np.sum((centred @ axes) ** 3, axis=0) < 0, -1.0, 1.0)
         axes[:, 0] *= np.sign(np.linalg.det(axes))
         extent = float(np.sqrt(np.mean(np.sum(centred**2, axis=1))))
-        return cls(axes, centre, extent if pose == "similarity" else 1.0)
+        return cls(axes, centre, extent if pose == "similarity" else 1.0, exact=False)
 
     def into(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
         """Points of the target, in this frame."""
-        return (points - self.centre) @ self.axes / self.unit
+        own = (points - self.centre) @ self.axes / self.unit
+        if self.exact:
+            return own
+        grain = _GRAIN * 2.0 ** np.floor(np.log2(np.ptp(own)))
+        return np.round(own / grain) * grain
 
     def back(self, posed: Posed) -> Posed:
         """A component posed in this frame, in the target's; its turns and shifts are zero there."""

@@ -284,10 +284,12 @@ def fit_sheet(
         free = tuple(name for name in free if name != "length")
     names = (*free, *Posed.free_in(pose))
     starts: list[tuple[str, AbstractSurface]] = [("given", template)]
+    found: dict[str, BladeStart] = {}
     if not from_template:
         progress("laying it flat")
-        found = blade_starts(template, free, sheets[:_SOME], pose != "known")[:_FOLLOWED]
-        starts = [(start.label, _started(start, pose)) for start in found]
+        ways = blade_starts(template, free, sheets[:_SOME], pose != "known")[:_FOLLOWED]
+        found = {start.label: start for start in ways}
+        starts = [(label, _started(start, pose)) for label, start in found.items()]
     some = masses[:_ROUGHLY]
     rough = Sheet.of(sheets[:_ROUGHLY], some, noise, np.ones(len(some)))
     ends = []
@@ -305,6 +307,11 @@ def fit_sheet(
             with stage("polishing"):
                 settled.append(_settle(coordinates, label, model, scan))
     settled.sort(key=lambda end: end.chi2)
+    if found:
+        first = found[settled[0].label]
+        settled = [
+            dataclasses.replace(end, label=found[end.label].beside(first)) for end in settled
+        ]
     ends = [_in_target(end, names, frame, order) for end in settled]
     cloud = PointCloud(points, weights=weights)
     best = with_all_points(Coordinates.of(ends[0].model, names), ends[0], 0, cloud)
