@@ -54,7 +54,3 @@ class Program(Generic[R]):
                 moved(time.perf_counter() - began, "compiling")
             return result
         return store.call(self._function, args)
-
-    def cache_size(self) -> int:
-        """How many programs this process holds for argument shapes met so far."""
-        return self._jitted._cache_size()  # pyright: ignore

@@ -21,13 +21,14 @@ class Scenery:
         self._scene.configure_default_lights(cast_shadow=False)
         self._faces: Int[np.ndarray, "f 3"] | None = None
         self._surface: viser.MeshHandle | None = None
+        self._points: viser.PointCloudHandle | None = None
         self._extent = 1.0
 
     def clear(self) -> None:
         """Nothing is left."""
         self._scene.reset()
         self._scene.set_up_direction("+y")
-        self._surface = None
+        self._surface = self._points = None
 
     def look_at(self, points: Float[np.ndarray, "n 3"]) -> None:
         """Puts the viewer where all points are seen, obliquely from the front."""
@@ -82,17 +83,26 @@ class Scenery:
         self, points: Float[np.ndarray, "n 3"], colours: Float[np.ndarray, "n 3"], visible: bool
     ) -> None:
         """The points from now on; colours from 0 to 1."""
-        if len(points) == 0 or not visible:
-            self._scene.remove_by_name("/points")
+        places, size = np.asarray(points, np.float32), 0.006 * self._extent
+        if self._points is not None:
+            # An update of both, where a new node would be built anew.
+            self._points.points = places
+            self._points.colors = np.rint(255 * colours).astype(np.uint8)
+            self._points.point_size = size
+            self._points.visible = visible
             return
-        self._scene.add_point_cloud(
+        self._points = self._scene.add_point_cloud(
             "/points",
-            points,
+            places,
             colours,
-            point_size=0.006 * self._extent,
+            point_size=size,
             point_shape="circle",
             precision="float32",
+            visible=visible,
         )
+        # The page makes a new material whenever colours change, and with the last one of its kind goes
+        # its program, which takes a quarter of a second to compile: here is one more, which nobody sees.
+        self._scene.add_point_cloud("/unseen", places[:2], colours[:2], point_size=0.0)
 
     def model(self, name: str, glb: bytes) -> None:
         """A file of glTF under a name."""

@@ -200,4 +200,3 @@ def test_without_a_store_a_program_compiles_once_and_says_so() -> None:
     first, second = times
     assert first["compiling"] > 0
     assert "compiling" not in second
-    assert program.cache_size() == 1
