@@ -83,13 +83,15 @@ class Scenery:
         self, points: Float[np.ndarray, "n 3"], colours: Float[np.ndarray, "n 3"], visible: bool
     ) -> None:
         """The points from now on; colours from 0 to 1."""
+        shown = self._points
+        if len(points) == 0 or not visible:
+            if shown is not None:
+                shown.visible = False
+            return
         places, size = np.asarray(points, np.float32), 0.006 * self._extent
-        if self._points is not None:
-            # An update of both, where a new node would be built anew.
-            self._points.points = places
-            self._points.colors = np.rint(255 * colours).astype(np.uint8)
-            self._points.point_size = size
-            self._points.visible = visible
+        if shown is not None and len(shown.points) == len(places):
+            shown.points, shown.point_size, shown.visible = places, size, True
+            shown.colors = np.rint(255 * colours).astype(np.uint8)
             return
         self._points = self._scene.add_point_cloud(
             "/points",
@@ -98,7 +100,6 @@ class Scenery:
             point_size=size,
             point_shape="circle",
             precision="float32",
-            visible=visible,
         )
         # The page makes a new material whenever colours change, and with the last one of its kind goes
         # its program, which takes a quarter of a second to compile: here is one more, which nobody sees.
