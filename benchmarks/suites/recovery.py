@@ -15,7 +15,7 @@ _WITHIN = {"a_x": 3.0, "b_y": 3.0, "rib_frequency": 1.0}
 
 
 def run(quick: bool, tell: Tell) -> Iterator[Metric | Curve]:
-    for points, petals in ((1500, 20 if quick else 100), (300, 10 if quick else 50)):
+    for points, petals in ((1500, 16 if quick else 100), (300, 8 if quick else 50)):
         found, inside, over = [], [], {name: [] for name in NAMES}
         for seed in range(petals):
             tell(f"{points} points, petal {seed + 1} of {petals}")

@@ -81,7 +81,7 @@ def _sliders(page: Any, url: str, steps: int) -> list[float]:
     go = page.get_by_role("button", name="Fit", exact=True)
     go.click(timeout=_A_WHILE)
     page.get_by_text("converged").wait_for(timeout=_A_WHILE)
-    page.wait_for_timeout(8000)  # until it has settled
+    page.wait_for_timeout(5000)  # until it has settled
     page.evaluate(_WATCH)
     thumb = page.get_by_role("slider").nth(2)
     thumb.focus()

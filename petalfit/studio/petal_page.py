@@ -103,7 +103,7 @@ class PetalPage:
             self._take(read, f"{file.name}, a mask", "known", "linear")
         else:
             self._take(read, f"{file.name}, {len(read):,} points", "similarity", "linear")
-            self._controls.kind.value = "auto"
+            self._controls.kind.value = "BladePetal"
 
     def _take_photo(self, photo: Photo, name: str) -> None:
         self._take(photo.target, f"{name}, a photo; is this the petal?", "known", "linear", photo)
