@@ -18,6 +18,7 @@ from petalfit.residuals import (
     EDGE_NODES,
     Data,
     TangentDistance,
+    counted,
     edge_nodes,
     edge_pull,
     edge_score,
@@ -88,11 +89,13 @@ def cost_gradient(
     here = frame(model, uv)
     distance = here.distance(data.points)
     sigma = estimate_sigma(data, distance, len(t))
-    score = edge_score(here.beyond(data.points) / sigma)
+    beyond = here.beyond(data.points) / sigma
+    score = edge_score(beyond)
     covectors = here.normal * (distance / sigma)[:, None]
     covectors = (covectors + jnp.sum(score[..., None] * here.conormals, axis=1)) / sigma
     nodes = jnp.asarray(edge_nodes(model.domain), uv.dtype)
-    pull = edge_pull(model, frame(model, nodes), uv, data.weights)
+    within = data.weights * counted(jnp.max(beyond, axis=-1))
+    pull = edge_pull(model, frame(model, nodes), uv, within, sigma)
     pulled = pull_back(
         model,
         jnp.concatenate([uv, nodes[:EDGE_NODES]]),

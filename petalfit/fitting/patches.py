@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from petalfit.fitting import programs
+from petalfit.residuals import blurred_width
 from petalfit.surfaces import AbstractSurface, Domain
 
 SHAPE = (25, 33)
@@ -33,6 +34,16 @@ class Patches(NamedTuple):
         uv = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
         places = np.asarray(programs.places(model, uv))
         return cls(uv, places, areas_around(places.reshape(*SHAPE, 3)))
+
+    def blurred(self, sigma: float) -> Float[np.ndarray, "25 33"]:
+        """The areas over which noise σ spreads what lies there: larger where the surface is narrow."""
+        grid, area = self.places.reshape(*SHAPE, 3), self.area
+        for axis in (0, 1):
+            along = np.linalg.norm(np.gradient(grid, axis=1 - axis), axis=-1)
+            width = self.area.sum(axis, keepdims=True) / along.mean(axis, keepdims=True)
+            wide, _ = blurred_width(np.maximum(width, 1e-12 * sigma), np.asarray(sigma))
+            area = area * np.asarray(wide) / np.maximum(width, 1e-12 * sigma)
+        return area
 
 
 def cells(

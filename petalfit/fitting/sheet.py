@@ -90,21 +90,19 @@ class ObservedEmptiness(AbstractObserved):
     def look(self, model: AbstractSurface, term: AbstractTerm | None) -> Emptiness:
         return self.around(model)[0]
 
-    def around(
-        self, model: AbstractSurface
-    ) -> tuple[Emptiness, Float[np.ndarray, "n_u n_v"], float]:
-        """The term there, the area around each of its places, and twice its cost at a noise of 1."""
-        uv, places, area = Patches.of(model)
-        gap, nearest = map(np.asarray, self.tree.query(places))
-        weights = self.tree.n * area.ravel() / area.sum()
+    def around(self, model: AbstractSurface) -> tuple[Emptiness, Patches, float]:
+        """The term there, the places that it looks at, and twice its cost at a noise of 1."""
+        patches = Patches.of(model)
+        gap, nearest = map(np.asarray, self.tree.query(patches.places))
+        weights = self.tree.n * patches.area.ravel() / patches.area.sum()
         term = Emptiness(
-            uv=jnp.asarray(uv),
+            uv=jnp.asarray(patches.uv),
             nearest=jnp.asarray(self.tree.data[nearest]),
             weights=jnp.asarray(weights),
             slack=jnp.asarray(self.slack),
             sigma=jnp.asarray(self.slack),
         )
-        return term, area, float(np.sum(weights * np.maximum(gap - self.slack, 0.0) ** 2))
+        return term, patches, float(np.sum(weights * np.maximum(gap - self.slack, 0.0) ** 2))
 
     def misfit(self, model: AbstractSurface) -> float:
         return 0.0
@@ -168,7 +166,7 @@ class Sheet:
         model = coordinates.model(t)
         cloud = self.cloud.look(model, term)
         survey = programs.survey(coordinates, cloud.data, t, cloud.uv)
-        emptiness, area, excess = self.emptiness.around(model)
+        emptiness, patches, excess = self.emptiness.around(model)
         weights = np.asarray(cloud.data.weights)
         total = float(np.sum(weights))
         square = float(np.sum(weights * np.asarray(survey.distance) ** 2)) / total
@@ -176,7 +174,8 @@ class Sheet:
         sigma = max(float(np.sqrt(square)), 1e-12)
         beyond = np.max(np.asarray(survey.beyond), axis=-1) / sigma
         edge = float(np.sum(weights * -log_ndtr(-np.clip(beyond, -8.0, 1e3))))
-        cost = 0.5 * total * np.log(wrong) + edge + _spread_out(model, cloud, area)
+        cost = 0.5 * total * np.log(wrong) + edge
+        cost += _spread_out(model, cloud, patches.blurred(sigma))
         cost = cost if np.isfinite(cost) else np.inf
         return _Place(t, cloud, emptiness, np.asarray(survey.information), sigma, cost)
 
@@ -364,14 +363,14 @@ def _descended(
 
 def _settle(coordinates: Coordinates, label: str, model: AbstractSurface, scan: Scan) -> Settled:
     """All the way from a start, on ever more points."""
-    rounds, number = _FINE, 0
+    number = 0
     if len(scan.points) > 2 * _SOME:
-        near = _descended(coordinates, model, scan.first(_SOME), rounds)
-        model, rounds, number = coordinates.model(near.place.t), _AGAIN, near.rounds
-    end = _descended(coordinates, model, scan, rounds)
+        near = _descended(coordinates, model, scan.first(_SOME), _FINE)
+        model, number = coordinates.model(near.place.t), near.rounds
+    end = _descended(coordinates, model, scan, _FINE)
     if end.place.sigma > _FAR * np.linalg.norm(np.ptp(scan.points, axis=0)):
         # Shorter steps may lead around what this one fell into.
-        other = _descended(coordinates, model, scan, rounds, _HELD_BACK)
+        other = _descended(coordinates, model, scan, _FINE, _HELD_BACK)
         end = min(end, other, key=lambda end: end.place.cost)
     settled = _finish(end.sheet, coordinates, label, end.place, number + end.rounds, end.moved)
     if end.log_likelihood is None:

@@ -5,13 +5,17 @@ beyond a straight edge, the density ρ Φ(−e/σ). The negative logarithm of th
 pushes the edge outwards. What holds the edge back is that an even spread over a larger surface makes
 every point less likely: −log Area per point, whose derivative by a motion of the edge is the integral
 of ρ times the conormal speed. The two balance at the truth, with no free weight.
+
+Where the surface is not wide against σ, both edges blur every point: the density Φ(−e₁/σ) Φ(−e₂/σ) has
+the integral Z(w) = w Φ(a) + √2 σ φ(a), a = w/√2σ, across a width w, and log Z takes the place of log w.
+Without it a pointed end could always be made more likely by making it narrower.
 """
 
 from __future__ import annotations
 
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import log_ndtr
+from jax.scipy.special import log_ndtr, ndtr
 from jaxtyping import Array, Float
 
 from petalfit.residuals.contact import Frame
@@ -51,8 +55,30 @@ def edge_nodes(domain: Domain) -> Float[np.ndarray, "m 2"]:
     return low + (high - low) * places
 
 
+def counted(beyond: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    """How much a point counts to the density that holds an edge back, for e in units of σ.
+
+    Noise takes hardly a point farther than 2σ beyond an edge. Those that lie there say that the edge has
+    to move, and pile up at its foot points: taken for density they would hold it where it is.
+    """
+    return ndtr(2.0 * (1.5 - beyond))
+
+
+def blurred_width(
+    width: Float[Array | np.ndarray, "*shape"], sigma: Float[Array | np.ndarray, ""]
+) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
+    """Z(w), and its derivative Φ(w/√2σ)."""
+    a = jnp.asarray(width) / (np.sqrt(2) * sigma)
+    share = ndtr(a)
+    return width * share + sigma * jnp.exp(-0.5 * a**2) / np.sqrt(np.pi), share
+
+
 def edge_pull(
-    surface: AbstractSurface, here: Frame, uv: Float[Array, "n 2"], weights: Float[Array, " n"]
+    surface: AbstractSurface,
+    here: Frame,
+    uv: Float[Array, "n 2"],
+    weights: Float[Array, " n"],
+    sigma: Float[Array, ""],
 ) -> Float[Array, "m 3"]:
     """Covectors w with Σ w·∂S/∂θ = ∮ ρ (c · ∂S/∂θ) dl, the derivative of Σ log Area by a moving edge.
 
@@ -63,14 +89,19 @@ def edge_pull(
         surface: Its domain and its edges count.
         here: The surface's frames at `edge_nodes`.
         uv: Foot points of the cloud.
-        weights: Weight of every point; zero for padding.
+        weights: How much every point counts; zero for padding.
+        sigma: Noise, which takes from ρ where the surface is narrow.
 
     Returns:
         A covector for each of the first `EDGE_NODES` nodes.
     """
     domain = surface.domain
-    density = _density(domain, here.area_element[EDGE_NODES:], uv, weights)
-    along = jnp.concatenate([density[0, :], density[-1, :], density[:, 0], density[:, -1]])
+    grid = Frame(*(x[EDGE_NODES:] for x in here))
+    density = _density(domain, grid.area_element, uv, weights)
+    by_u, by_v = (_narrowed(width, sigma) for width in _widths(domain, grid))
+    along = jnp.concatenate(
+        [density[0, :] * by_u, density[-1, :] * by_u, density[:, 0] * by_v, density[:, -1] * by_v]
+    )
     # The first half of the nodes lies on u edges, the second on v edges.
     half = EDGE_NODES // 2
     conormals = jnp.concatenate([here.conormals[:half, 0], here.conormals[half:EDGE_NODES, 1]])
@@ -95,6 +126,28 @@ def _density(domain: Domain, element: Array, uv: Array, weights: Array) -> Array
     weight = hats(_midpoints(_GRID))
     area = weight.T @ element.reshape(_GRID, _GRID) @ weight
     return counts / (area * np.prod(high - low) / _GRID**2)
+
+
+def _widths(domain: Domain, grid: Frame) -> tuple[Array, Array]:
+    """Widths from one u edge to the other in every cell of v, and from v edge to v edge by u."""
+    ranges = np.ptp(np.array(domain), axis=1)
+    element = grid.area_element.reshape(_GRID, _GRID)
+    speed = grid.speed.reshape(_GRID, _GRID, 2)
+    u_speed, v_speed = speed[..., 0], speed[..., 1]
+
+    def by_cell(x: Array, axis: int) -> Array:
+        return jnp.sum(jnp.sum(x, axis=axis).reshape(_CELLS, -1), axis=-1)
+
+    return (
+        ranges[0] * by_cell(element, 0) / jnp.maximum(by_cell(v_speed, 0), 1e-300),
+        ranges[1] * by_cell(element, 1) / jnp.maximum(by_cell(u_speed, 1), 1e-300),
+    )
+
+
+def _narrowed(width: Array, sigma: Array) -> Array:
+    """W times d(log Z)/dw: 1 where a surface is wide against σ, and 0 where it has no width."""
+    blurred, slope = blurred_width(width, sigma)
+    return width * slope / blurred
 
 
 def _midpoints(n: int) -> np.ndarray:

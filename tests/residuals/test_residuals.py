@@ -77,9 +77,10 @@ def test_edge_residual_and_its_slope():
         assert np.isfinite(jax.vmap(jax.grad(function))(jnp.linspace(-50.0, 50.0, 1001))).all()
 
 
-def pull_of_edges(surface, uv):
+def pull_of_edges(surface, uv, sigma=0.01):
     nodes = jnp.asarray(edge_nodes(surface.domain))
-    pull = edge_pull(surface, frame(surface, nodes), uv, jnp.ones(len(uv)))
+    weights = jnp.ones(len(uv))
+    pull = edge_pull(surface, frame(surface, nodes), uv, weights, jnp.asarray(sigma))
     return leaves(pull_back(surface, nodes[:EDGE_NODES], pull)).sum(axis=-1)
 
 
@@ -90,6 +91,22 @@ def test_edge_pull_of_a_uniform_cloud_is_the_derivative_of_n_log_area():
     uv = jnp.asarray(rng.uniform([-0.5, 0.0], [0.5, 1.0], (n, 2)))
     # d log(a_x b_y) is n/a_x and n/b_y; the height of the plane changes no area.
     np.testing.assert_allclose(pull_of_edges(surface, uv), [n / 4, n / 6, 0], rtol=0.03, atol=1e-9)
+
+
+def test_edges_of_a_narrow_surface_are_pulled_no_more_than_noise_allows():
+    """The derivative of log ∫Φ(x/σ) Φ((w − x)/σ) dx by the width, by quadrature."""
+    sigma, h = 0.3, 1e-4
+    x = np.linspace(-10.0, 15.0, 200_001)
+    uv = jnp.asarray(np.random.default_rng(0).uniform([-0.5, 0], [0.5, 1], (40_000, 2)))
+
+    def logarithm(width):
+        return np.log(np.trapezoid(norm.cdf(x / sigma) * norm.cdf((width - x) / sigma), x))
+
+    for width in (0.02, 0.3, 1.0, 4.0):
+        surface = jax.tree.map(jnp.asarray, Rectangle(width, 60.0))
+        by_width = (logarithm(width + h) - logarithm(width - h)) / (2 * h)
+        pull = pull_of_edges(surface, uv, sigma)[0]
+        assert pull == pytest.approx(len(uv) * by_width, rel=0.03)
 
 
 def test_the_edge_is_not_pulled_where_there_are_no_points():
