@@ -265,7 +265,14 @@ def _settled(
     polished, weights, log_likelihood = _polished(
         scan, coordinates, model, np.arange(len(scan.points)), _ROUNDS, _TOLERANCE, prior
     )
+    lost = np.sum(weights) < len(coordinates.free)
+    if lost:
+        # No points are left that belong to it: how far it is from all of them is then the result.
+        weights = scan.weights
     cloud = ObservedCloud.of(scan.points, weights, scan.noise, scan.order)
+    if lost:
+        start = cloud.at(feet(polished.model, cloud.data.points))
+        polished = minimise(coordinates, [cloud], polished.model, [start], 1, _TOLERANCE, prior)
     end = finish(coordinates, label, [cloud], polished, prior)
     if log_likelihood is None:
         return end

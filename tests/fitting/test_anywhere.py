@@ -8,8 +8,10 @@ import jax
 import numpy as np
 import pytest
 from scipy.optimize import minimize
+from scipy.spatial.transform import Rotation
 
 import petalfit as pf
+from benchmarks.targets import petal_of
 from petalfit.fitting.misfit import MisfitMap
 from petalfit.fitting.robust import mixture
 from petalfit.fitting.strays import on_sheets
@@ -278,3 +280,18 @@ def test_a_result_says_where_it_misfits(tmp_path):
     again = pf.FitResult.load(tmp_path / "fit.json")
     assert again.misfit is not None
     assert again.misfit.systematic == result.misfit.systematic
+
+
+def test_a_start_that_all_points_leave_is_an_end_like_others():
+    """Six points in ten are clutter, and one of the starts comes to lie beside all of them."""
+    rng = np.random.default_rng([6, 11])
+    petal = petal_of(3006)
+    points = np.array(petal.sample(2000, seed=6, noise=SIGMA).points)
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = 0.25 * (high - low) + 0.05 * np.max(high - low)
+    points[800:] = rng.uniform(low - margin, high + margin, (1200, 3))
+    points = points @ Rotation.random(random_state=6).as_matrix().T + rng.uniform(-40, 40, 3)
+    result = pf.fit_petal(points, pose="rigid", loss="robust", throw=False)
+    assert result.starts[0].delta_chi2 == 0
+    assert all(np.isfinite([start.rms, start.delta_chi2]).all() for start in result.starts)
+    assert "are taken for strays" in result.message
