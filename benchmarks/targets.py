@@ -28,6 +28,14 @@ def cloud_of(petal: pf.PeonyPetal, n: int, seed: int, noise: float = SIGMA) -> n
     return petal.sample(n, seed=seed, noise=noise).points
 
 
+def among_strays(points: np.ndarray, share: float, rng: np.random.Generator) -> np.ndarray:
+    """The points, a share of them replaced by strays, which fill a box somewhat larger than theirs."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = 0.25 * (high - low) + 0.05 * np.max(high - low)
+    strays = rng.uniform(low - margin, high + margin, (round(share * len(points)), 3))
+    return np.concatenate([points[: len(points) - len(strays)], strays])
+
+
 def off(
     petal: pf.PeonyPetal, names: tuple[str, ...], seed: int, part: float = 0.05
 ) -> pf.PeonyPetal:

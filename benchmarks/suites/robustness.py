@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import petalfit as pf
 from benchmarks.metric import Curve, Metric, Tell
-from benchmarks.targets import SIGMA, errors, petal_of
+from benchmarks.targets import SIGMA, among_strays, errors, petal_of
 
 _POINTS = 2000
 
@@ -68,10 +68,7 @@ def _found(
         middle = points[rng.integers(len(points))]
         points = points[np.linalg.norm(points - middle, axis=1) > 0.2 * np.ptp(points[:, 1])]
     if clutter:
-        low, high = points.min(axis=0), points.max(axis=0)
-        margin = 0.25 * (high - low) + 0.05 * np.max(high - low)
-        strays = rng.uniform(low - margin, high + margin, (round(clutter * _POINTS), 3))
-        points = np.concatenate([points[: _POINTS - len(strays)], strays])
+        points = among_strays(points, clutter, rng)
     if pose != "known":
         points = points @ Rotation.random(random_state=seed).as_matrix().T + rng.uniform(-40, 40, 3)
     result = pf.fit_petal(points, pose=pose, loss=loss, throw=False)

@@ -31,10 +31,10 @@ def _points(quick: bool, tell: Tell) -> Iterator[Metric | Curve]:
         taken, _ = timed(lambda points=points: pf.fit_petal(points, throw=False), repeats)
         times.append(taken)
         yield Metric(f"scaling.seconds_{n}_points", times[-1], "s", "less", count=repeats)
-    # From where the points outweigh what every fit costs.
+    large = sizes[-3:]  # where the points outweigh what every fit costs
     yield Metric(
-        "scaling.exponent_points", slope(sizes[-3:], times[-3:]), "1", "less", 0.2,
-        note=f"of the time, from {sizes[-3:][0]} to {sizes[-1]} points",
+        "scaling.exponent_points", slope(large, times[-3:]), "1", "less", 0.2,
+        note=f"of the time, from {large[0]} to {large[-1]} points",
     )  # fmt: skip
     yield Curve(
         "scaling.points", [*map(float, sizes)], times, "points", "seconds of a warm fit",

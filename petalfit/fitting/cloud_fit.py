@@ -265,14 +265,7 @@ def _settled(
     polished, weights, log_likelihood = _polished(
         scan, coordinates, model, np.arange(len(scan.points)), _ROUNDS, _TOLERANCE, prior
     )
-    lost = np.sum(weights) < len(coordinates.free)
-    if lost:
-        # No points are left that belong to it: how far it is from all of them is then the result.
-        weights = scan.weights
     cloud = ObservedCloud.of(scan.points, weights, scan.noise, scan.order)
-    if lost:
-        start = cloud.at(feet(polished.model, cloud.data.points))
-        polished = minimise(coordinates, [cloud], polished.model, [start], 1, _TOLERANCE, prior)
     end = finish(coordinates, label, [cloud], polished, prior)
     if log_likelihood is None:
         return end
@@ -289,14 +282,18 @@ def _polished(
     prior: Prior | None,
 ) -> tuple[Polished, np.ndarray, float | None]:
     """Where the solver stops on some points, their weights there, and their likelihood if robust."""
-    points, weights = scan.points[some], scan.weights[some]
-    if scan.clutter is None:
-        cloud = ObservedCloud(pad(points, weights, scan.noise))
-        start = cloud.at(feet(model, cloud.data.points))
-        ends = minimise(coordinates, [cloud], model, [start], rounds, tolerance, prior)
-        return ends, weights, None
-    ends = clear(coordinates, scan.clutter, model, points, weights, scan.noise, prior)
-    return ends.polished, weights * ends.mixture.members, ends.mixture.log_likelihood
+    points, weights, log_likelihood = scan.points[some], scan.weights[some], None
+    if scan.clutter is not None:
+        ends = clear(coordinates, scan.clutter, model, points, weights, scan.noise, prior)
+        members, log_likelihood = weights * ends.mixture.members, ends.mixture.log_likelihood
+        if np.sum(members) >= len(coordinates.free):
+            return ends.polished, members, log_likelihood
+        # No points are left that belong to it: how far it is from all of them is then the result.
+        model, rounds = ends.polished.model, 1
+    cloud = ObservedCloud(pad(points, weights, scan.noise))
+    start = cloud.at(feet(model, cloud.data.points))
+    polished = minimise(coordinates, [cloud], model, [start], rounds, tolerance, prior)
+    return polished, weights, log_likelihood
 
 
 def follow(

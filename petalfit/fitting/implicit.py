@@ -18,7 +18,6 @@ from petalfit.residuals import (
     EDGE_NODES,
     Data,
     TangentDistance,
-    counted,
     edge_nodes,
     edge_pull,
     edge_score,
@@ -94,8 +93,8 @@ def cost_gradient(
     covectors = here.normal * (distance / sigma)[:, None]
     covectors = (covectors + jnp.sum(score[..., None] * here.conormals, axis=1)) / sigma
     nodes = jnp.asarray(edge_nodes(model.domain), uv.dtype)
-    within = data.weights * counted(jnp.max(beyond, axis=-1))
-    pull = edge_pull(model, frame(model, nodes), uv, within, sigma)
+    farthest = jnp.max(beyond, axis=-1)
+    pull = edge_pull(model, frame(model, nodes), uv, data.weights, farthest, sigma)
     pulled = pull_back(
         model,
         jnp.concatenate([uv, nodes[:EDGE_NODES]]),

@@ -41,8 +41,8 @@ class Patches(NamedTuple):
         for axis in (0, 1):
             along = np.linalg.norm(np.gradient(grid, axis=1 - axis), axis=-1)
             width = self.area.sum(axis, keepdims=True) / along.mean(axis, keepdims=True)
-            wide, _ = blurred_width(np.maximum(width, 1e-12 * sigma), np.asarray(sigma))
-            area = area * np.asarray(wide) / np.maximum(width, 1e-12 * sigma)
+            width = np.maximum(width, 1e-12 * sigma)
+            area = area * np.asarray(blurred_width(width, np.asarray(sigma))[0]) / width
         return area
 
 

@@ -55,7 +55,7 @@ def edge_nodes(domain: Domain) -> Float[np.ndarray, "m 2"]:
     return low + (high - low) * places
 
 
-def counted(beyond: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+def _counted(beyond: Array) -> Array:
     """How much a point counts to the density that holds an edge back, for e in units of σ.
 
     Noise takes hardly a point farther than 2σ beyond an edge. Those that lie there say that the edge has
@@ -78,6 +78,7 @@ def edge_pull(
     here: Frame,
     uv: Float[Array, "n 2"],
     weights: Float[Array, " n"],
+    beyond: Float[Array, " n"],
     sigma: Float[Array, ""],
 ) -> Float[Array, "m 3"]:
     """Covectors w with Σ w·∂S/∂θ = ∮ ρ (c · ∂S/∂θ) dl, the derivative of Σ log Area by a moving edge.
@@ -89,7 +90,8 @@ def edge_pull(
         surface: Its domain and its edges count.
         here: The surface's frames at `edge_nodes`.
         uv: Foot points of the cloud.
-        weights: How much every point counts; zero for padding.
+        weights: Weight of every point; zero for padding.
+        beyond: How far every point lies beyond the nearest edge, in units of σ, negative inside.
         sigma: Noise, which takes from ρ where the surface is narrow.
 
     Returns:
@@ -97,7 +99,7 @@ def edge_pull(
     """
     domain = surface.domain
     grid = Frame(*(x[EDGE_NODES:] for x in here))
-    density = _density(domain, grid.area_element, uv, weights)
+    density = _density(domain, grid.area_element, uv, weights * _counted(beyond))
     by_u, by_v = (_narrowed(width, sigma) for width in _widths(domain, grid))
     along = jnp.concatenate(
         [density[0, :] * by_u, density[-1, :] * by_u, density[:, 0] * by_v, density[:, -1] * by_v]

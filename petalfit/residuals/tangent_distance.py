@@ -13,7 +13,6 @@ from jaxtyping import Array, Float, Int
 from petalfit.residuals.contact import Frame, frame
 from petalfit.residuals.edge import (
     EDGE_NODES,
-    counted,
     edge_nodes,
     edge_pull,
     edge_residual,
@@ -80,8 +79,7 @@ class TangentDistance(AbstractTerm):
         beyond = jnp.max(here.beyond(data.points), axis=-1)
         beyond = jnp.where(data.weights > 0, beyond, -jnp.inf)
         _, near = jax.lax.top_k(beyond, max(len(uv) // 4, min(len(uv), _FEW)))
-        within = data.weights * counted(beyond / sigma)
-        pull = edge_pull(surface, edge, uv, within, sigma)
+        pull = edge_pull(surface, edge, uv, data.weights, beyond / sigma, sigma)
         return (
             TangentDistance(data=data, uv=uv, sigma=sigma),
             FrozenDistance(data, uv, sigma, here, near),

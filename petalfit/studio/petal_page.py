@@ -131,8 +131,7 @@ class PetalPage:
         self._controls.pose.value, self._controls.loss.value = pose, loss
         if isinstance(target, Silhouette) and self._controls.kind.value in ("auto", "SplinePetal"):
             self._controls.kind.value = "PeonyPetal"
-        for part in (self._controls.found, self._controls.numbers, self._controls.key):
-            part.visible = False
+        self._hide_result()
         self._controls.cut.visible = photo is not None
         self._controls.picture.visible = isinstance(target, Silhouette)
         self._scenery.clear()
@@ -141,6 +140,10 @@ class PetalPage:
             self._scenery.look_at(target.points[self._some])
         self.draw()
 
+    def _hide_result(self) -> None:
+        for part in (self._controls.found, self._controls.numbers, self._controls.key):
+            part.visible = False
+
     # The fit.
 
     def _fit(self) -> None:
@@ -148,20 +151,14 @@ class PetalPage:
             raise TargetError("a fit is running; wait for it, or cancel it first.")
         target = self._target
         assert target is not None, "a page opens with a case"
-        kind: Any = (
-            self._controls.kind.value
-            if self._controls.kind.value == "auto"
-            else models()[self._controls.kind.value]
-        )
+        kind = self._controls.kind.value
         options = {
-            "model": kind,
+            "model": kind if kind == "auto" else models()[kind],
             "pose": self._controls.pose.value,
             "loss": self._controls.loss.value,
         }
         self._history, self._costs, self._result, self._model = [], [], None, None
-        self._controls.found.visible = self._controls.numbers.visible = (
-            self._controls.key.visible
-        ) = False
+        self._hide_result()
         self._controls.stop.visible, self._controls.go.disabled = True, True
         self._controls.state.content = words.progress("waiting for a core", [])
         self._session.begin(lambda work: self._run(work, target, options))

@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 import petalfit as pf
-from benchmarks.targets import petal_of
+from benchmarks.targets import among_strays, cloud_of, petal_of
 from petalfit.fitting.misfit import MisfitMap
 from petalfit.fitting.robust import mixture
 from petalfit.fitting.strays import on_sheets
@@ -285,11 +285,7 @@ def test_a_result_says_where_it_misfits(tmp_path):
 def test_a_start_that_all_points_leave_is_an_end_like_others():
     """Six points in ten are clutter, and one of the starts comes to lie beside all of them."""
     rng = np.random.default_rng([6, 11])
-    petal = petal_of(3006)
-    points = np.array(petal.sample(2000, seed=6, noise=SIGMA).points)
-    low, high = points.min(axis=0), points.max(axis=0)
-    margin = 0.25 * (high - low) + 0.05 * np.max(high - low)
-    points[800:] = rng.uniform(low - margin, high + margin, (1200, 3))
+    points = among_strays(cloud_of(petal_of(3006), 2000, 6), 0.6, rng)
     points = points @ Rotation.random(random_state=6).as_matrix().T + rng.uniform(-40, 40, 3)
     result = pf.fit_petal(points, pose="rigid", loss="robust", throw=False)
     assert result.starts[0].delta_chi2 == 0

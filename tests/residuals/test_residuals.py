@@ -79,8 +79,8 @@ def test_edge_residual_and_its_slope():
 
 def pull_of_edges(surface, uv, sigma=0.01):
     nodes = jnp.asarray(edge_nodes(surface.domain))
-    weights = jnp.ones(len(uv))
-    pull = edge_pull(surface, frame(surface, nodes), uv, weights, jnp.asarray(sigma))
+    weights, inside = jnp.ones(len(uv)), jnp.full(len(uv), -jnp.inf)
+    pull = edge_pull(surface, frame(surface, nodes), uv, weights, inside, jnp.asarray(sigma))
     return leaves(pull_back(surface, nodes[:EDGE_NODES], pull)).sum(axis=-1)
 
 
