@@ -5,5 +5,6 @@ Names are imported when they are first used: `import petalfit` costs millisecond
 
 import lazy_loader
 
-__version__ = "0.1.0"
+from petalfit.version import VERSION as __version__  # noqa: F401
+
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

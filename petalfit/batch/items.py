@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
-from petalfit import __version__  # pyright: ignore[reportAttributeAccessIssue] - not a lazy one
 from petalfit.components import model_named
 from petalfit.observations import (
     IMAGE_SUFFIXES,
@@ -21,6 +20,7 @@ from petalfit.observations import (
     read_cameras,
     read_target,
 )
+from petalfit.version import VERSION
 
 # Columns of a manifest beside the target's, each of which may be empty.
 COLUMNS = ("id", "camera", "model", "pose", "loss", "noise", "free", "seed")
@@ -49,7 +49,7 @@ class Item(NamedTuple):
         Raises:
             TargetError: A file cannot be read.
         """
-        described = json.dumps([__version__, dict(sorted(self.options.items()))])
+        described = json.dumps([VERSION, dict(sorted(self.options.items()))])
         whole = hashlib.sha256(described.encode())
         for path in (*self.targets, *self.cameras):
             try:

@@ -12,13 +12,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from petalfit import __version__  # pyright: ignore[reportAttributeAccessIssue] - not a lazy one
 from petalfit.batch.failure import FitFailure
 from petalfit.batch.items import BETWEEN, Item
 from petalfit.compilation import use_folder
 from petalfit.fitting import FitResult, fit
 from petalfit.observations import TargetError
 from petalfit.observations.atomic import atomic_path
+from petalfit.version import VERSION
 
 FIT = "fit.json"
 RECORD = "record.json"
@@ -109,7 +109,7 @@ def _record(
         "message": result.message,
         **{name: item.options[name] for name in ("model", "pose", "loss")},
         "seconds": seconds,
-        "version": __version__,
+        "version": VERSION,
         "input_hash": digest,
         "finished": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
     }

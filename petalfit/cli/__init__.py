@@ -10,10 +10,10 @@ import os
 import sys
 from collections.abc import Sequence
 
-from petalfit import __version__  # pyright: ignore[reportAttributeAccessIssue] - not a lazy one
 from petalfit.cli.interrupt import insistent_interrupt
 from petalfit.cli.invocation import invoked_with
 from petalfit.cli.status import BROKEN_PIPE, INTERRUPTED, SUCCESS, UNUSABLE, CommandError
+from petalfit.version import VERSION
 
 DESCRIPTION = (
     "Flowers from a few named numbers, and the numbers back from a scan.\n"
@@ -62,7 +62,7 @@ def _expect_a_short_life() -> None:
 
 def _run(arguments: list[str]) -> int:
     if arguments[:1] == ["--version"]:
-        print(f"petalfit {__version__}")
+        print(f"petalfit {VERSION}")
         return SUCCESS
     import tyro
 

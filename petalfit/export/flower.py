@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
-from petalfit import __version__  # pyright: ignore[reportAttributeAccessIssue]  # not lazy
 from petalfit.colours import Colour, to_linear
 from petalfit.components import parameters
 from petalfit.export.mesh import SUFFIXES, obj_text
@@ -18,6 +17,7 @@ from petalfit.flowers import Flower, Grown, grow
 from petalfit.flowers.flower import short
 from petalfit.observations.atomic import atomic_path
 from petalfit.surfaces import AbstractSurface, grid_faces, grid_uv
+from petalfit.version import VERSION
 
 if TYPE_CHECKING:
     import trimesh
@@ -61,7 +61,7 @@ def _scene(flower: Flower) -> tuple[trimesh.Scene, dict[str, Colour]]:
     """The flower as a scene of named nodes, and the colours of its materials."""
     import trimesh
 
-    scene = trimesh.Scene(metadata={"petalfit": {"version": __version__, "flower": flower.name}})
+    scene = trimesh.Scene(metadata={"petalfit": {"version": VERSION, "flower": flower.name}})
     scene.graph.update(frame_to=flower.name, matrix=np.eye(4))
     seen: dict[bytes, str] = {}
     colours: dict[str, Colour] = {}
@@ -213,7 +213,7 @@ def _posed(flower: Flower) -> list[tuple[str, trimesh.Trimesh]]:
 
 def _obj(flower: Flower) -> bytes:
     # Not as a scene, of which trimesh would compute the normals anew, from faces.
-    lines, offset = [f"# {flower.name} grown by petalfit {__version__}\n"], 0
+    lines, offset = [f"# {flower.name} grown by petalfit {VERSION}\n"], 0
     for name, mesh in _posed(flower):
         text = io.StringIO(obj_text(mesh))
         lines.append(f"o {name}\n")

@@ -7,9 +7,9 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from petalfit import __version__  # pyright: ignore[reportAttributeAccessIssue]  # not lazy
 from petalfit.fitting.result import FitResult
 from petalfit.observations.atomic import atomic_path
+from petalfit.version import VERSION
 
 if TYPE_CHECKING:
     import trimesh
@@ -56,7 +56,7 @@ def export_mesh(
         return
     mesh = result.mesh(resolution)
     if suffix == ".obj":
-        title = f"{type(result.model).__name__} fitted by petalfit {__version__}"
+        title = f"{type(result.model).__name__} fitted by petalfit {VERSION}"
         _write(obj_text(mesh, header=title).encode(), path)
     elif suffix == ".ply":
         _write(export_ply(mesh, vertex_normal=True), path)
@@ -113,7 +113,7 @@ def extras(result: FitResult) -> dict[str, Any]:
     """
     free = set(result.names)
     return {
-        "version": __version__,
+        "version": VERSION,
         "model": type(result.model).__name__,
         "parameters": {
             name: {

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from petalfit import __version__, components  # pyright: ignore[reportAttributeAccessIssue] - not lazy
+from petalfit import components
 from petalfit.components import Parameter, Posed, parameters
 from petalfit.fitting.estimate import Estimate, Start, quantile
 from petalfit.fitting.misfit import MisfitMap
@@ -19,6 +19,7 @@ from petalfit.fitting.targets import digest_of, target_from_json, target_to_json
 from petalfit.observations import PointCloud, Silhouette, TargetError
 from petalfit.observations.atomic import atomic_path
 from petalfit.surfaces import AbstractSurface, Domain, Pose, moved, with_value
+from petalfit.version import VERSION
 
 if TYPE_CHECKING:
     import trimesh
@@ -163,7 +164,7 @@ class FitResult(Estimate):
     ranking: tuple[Rank, ...] = ()
     pose_stderr: dict[str, float] = dataclasses.field(default_factory=dict)
     profiles: dict[str, Profile] = dataclasses.field(default_factory=dict)
-    made_by: str = f"petalfit {__version__}"
+    made_by: str = f"petalfit {VERSION}"
     command: str = ""
 
     @property

@@ -9,7 +9,6 @@ from petalfit.observations.images import IMAGE_SUFFIXES as IMAGE_SUFFIXES
 from petalfit.observations.point_cloud import PointCloud as PointCloud
 from petalfit.observations.point_cloud import as_point_cloud as as_point_cloud
 from petalfit.observations.readers import SUFFIXES as SUFFIXES
-from petalfit.observations.readers import read_point_cloud as read_point_cloud
 from petalfit.observations.silhouette import Silhouette as Silhouette
 from petalfit.observations.texture import Texture as Texture
 from petalfit.observations.transforms import read_cameras as read_cameras

@@ -3,15 +3,22 @@
 import math
 import os
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float64
 
+from petalfit.observations.columns import Columns
 from petalfit.observations.errors import TargetError
-from petalfit.observations.triangles import mesh_triangles, sample_triangles
+from petalfit.observations.readers import read_columns
+from petalfit.observations.triangles import (
+    DEFAULT_SAMPLES,
+    geometry_columns,
+    mesh_triangles,
+    sample_triangles,
+)
 from petalfit.observations.validation import (
     ArrayLike,
     check_spread,
@@ -20,14 +27,10 @@ from petalfit.observations.validation import (
     valid_points,
     valid_weights,
 )
+from petalfit.observations.writers import write_columns
 
 if TYPE_CHECKING:
     import trimesh
-    import trimesh.parent
-
-# Points drawn from a mesh when nobody says how many: some 240 of them on the midrib of a petal
-# (half-width 0.03 of its width), and a power of two, to which fits pad their targets.
-DEFAULT_SAMPLES = 4096
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
@@ -102,17 +105,46 @@ class PointCloud:
     def load(
         cls, path: str | os.PathLike[str], *, n: int = DEFAULT_SAMPLES, seed: int = 0
     ) -> "PointCloud":
-        """Reads a cloud, or samples a mesh: see `read_point_cloud`, which does the work."""
-        # Here, because the readers make clouds and so import this file.
-        from petalfit.observations.readers import read_point_cloud
+        """Reads a point cloud, or samples a mesh; see `petalfit.observations.readers.read_columns`.
 
-        return read_point_cloud(path, n, seed)
+        Args:
+            path: the file, at most 2 GB.
+            n: number of points to draw from a file with faces; vertices are all taken.
+            seed: of `numpy.random.default_rng`.
+
+        Returns:
+            The cloud, in the file's unit of length and frame.
+
+        Raises:
+            TargetError: the file is missing, not readable, not what its suffix says, too large, or
+                what it holds is no usable cloud. The message begins with the path.
+            ValueError: n is not positive.
+        """
+        path = Path(path)
+        try:
+            return cls(**read_columns(path, n, seed))
+        except TargetError as error:
+            raise TargetError(f"{path}: {error}") from error.__cause__
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes the cloud whole or not at all: see `write_point_cloud`, which does the work."""
-        from petalfit.observations.writers import write_point_cloud
+        """Writes the cloud whole or not at all; reading it again gives the same numbers to the last bit.
 
-        write_point_cloud(self, path)
+        Args:
+            path: the file; its suffix says what to write, see `petalfit.observations.writers`. An
+                existing file is replaced.
+
+        Raises:
+            ValueError: the suffix is of no format that is written, or the format has no place for
+                weights or colours.
+            OSError: the file cannot be written.
+        """
+        columns: Columns = {
+            "points": self.points,
+            "normals": self.normals,
+            "weights": self.weights,
+            "colours": self.colours,
+        }
+        write_columns(columns, path)
 
     @classmethod
     def from_mesh(
@@ -133,36 +165,6 @@ class PointCloud:
             TargetError: the mesh has no faces, no area, or faces without usable corners.
         """
         return cls(*sample_triangles(mesh_triangles(mesh), n, seed))
-
-
-def from_trimesh(
-    geometries: "Sequence[trimesh.parent.Geometry]", n: int = DEFAULT_SAMPLES, seed: int = 0
-) -> PointCloud:
-    """The cloud of any trimesh geometries, as `trimesh.Scene.dump` gives them.
-
-    Args:
-        geometries: their faces are sampled together, as by `PointCloud.from_mesh`. Where there
-            are no faces at all, the vertices are the cloud.
-        n: number of points to draw from faces; vertices are all taken.
-        seed: of `numpy.random.default_rng`.
-
-    Returns:
-        A cloud, with normals if it was drawn from faces.
-
-    Raises:
-        TargetError: there are neither faces nor vertices, or they cannot be used.
-    """
-    import trimesh
-
-    meshes = [part for part in geometries if isinstance(part, trimesh.Trimesh) and len(part.faces)]
-    if meshes:
-        triangles = np.concatenate([mesh_triangles(mesh) for mesh in meshes])
-        return PointCloud(*sample_triangles(triangles, n, seed))
-    vertices = [getattr(part, "vertices", ()) for part in geometries]
-    vertices = [points for points in vertices if np.shape(points)[1:] == (3,)]
-    if not sum(map(len, vertices)):
-        raise TargetError("there are no vertices; give a mesh or a cloud that is not empty.")
-    return PointCloud(np.concatenate(vertices))
 
 
 def as_point_cloud(target: object) -> PointCloud:
@@ -188,9 +190,9 @@ def as_point_cloud(target: object) -> PointCloud:
         import trimesh
 
         if isinstance(target, trimesh.Scene):
-            return from_trimesh(target.dump())
+            return PointCloud(**geometry_columns(target.dump()))
         if isinstance(target, trimesh.Trimesh | trimesh.PointCloud):
-            return from_trimesh([target])
+            return PointCloud(**geometry_columns([target]))
     if isinstance(target, list | tuple) or hasattr(target, "__array__"):
         return PointCloud(target)  # pyright: ignore[reportArgumentType] - checked in there
     raise TargetError(

@@ -3,7 +3,6 @@
 import io
 import json
 import logging
-import os
 import stat
 import warnings
 import zipfile
@@ -16,7 +15,7 @@ import numpy as np
 
 from petalfit.observations.columns import Columns, named_columns, read_text, unnamed_columns
 from petalfit.observations.errors import TargetError
-from petalfit.observations.point_cloud import DEFAULT_SAMPLES, PointCloud, from_trimesh
+from petalfit.observations.triangles import DEFAULT_SAMPLES, geometry_columns
 
 if TYPE_CHECKING:
     import trimesh.parent
@@ -27,10 +26,8 @@ LARGEST_FILE = 2_000_000_000
 COMPRESSIONS = (b"KHR_draco_mesh_compression", b"EXT_meshopt_compression")
 
 
-def read_point_cloud(
-    path: str | os.PathLike[str], n: int = DEFAULT_SAMPLES, seed: int = 0
-) -> PointCloud:
-    """Reads a point cloud, or samples a mesh.
+def read_columns(path: Path, n: int = DEFAULT_SAMPLES, seed: int = 0) -> Columns:
+    """Reads the columns of a point cloud, or samples a mesh.
 
     - `.ply .obj .stl .glb .gltf`: if there are faces they are sampled, uniformly by area, and the
       normals of the faces become the points' own; otherwise the vertices are the cloud, with the
@@ -47,20 +44,15 @@ def read_point_cloud(
         seed: of `numpy.random.default_rng`.
 
     Returns:
-        The cloud, in the file's unit of length and frame.
+        The columns, in the file's unit of length and frame; nothing in them is checked yet.
 
     Raises:
-        TargetError: the file is missing, not readable, not what its suffix says, too large, or
-            what it holds is no usable cloud. The message begins with the path.
+        TargetError: the file is missing, not readable, not what its suffix says, or too large.
         ValueError: n is not positive.
     """
-    path = Path(path)
-    try:
-        _check_file(path)
-        parsed = _parse(path)
-        return PointCloud(**parsed) if isinstance(parsed, dict) else from_trimesh(parsed, n, seed)
-    except TargetError as error:
-        raise TargetError(f"{path}: {error}") from error.__cause__
+    _check_file(path)
+    parsed = _parse(path)
+    return parsed if isinstance(parsed, dict) else geometry_columns(parsed, n, seed)
 
 
 def _check_file(path: Path) -> None:

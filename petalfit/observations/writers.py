@@ -9,12 +9,11 @@ from jaxtyping import Float64
 
 from petalfit.observations.atomic import atomic_path
 from petalfit.observations.columns import Columns
-from petalfit.observations.point_cloud import PointCloud
 
 _COLOURS = ["red", "green", "blue"]
 
 
-def write_point_cloud(cloud: PointCloud, path: str | os.PathLike[str]) -> None:
+def write_columns(cloud: Columns, path: str | os.PathLike[str]) -> None:
     """Writes a cloud whole or not at all; reading it again gives the same numbers to the last bit.
 
     - `.ply`: binary, in double precision, with nx, ny, nz, weight and red, green, blue if there are any;
@@ -25,7 +24,7 @@ def write_point_cloud(cloud: PointCloud, path: str | os.PathLike[str]) -> None:
     - `.npz`: `points`, `normals`, `weights`, `colours`.
 
     Args:
-        cloud: the cloud.
+        cloud: its columns, checked.
         path: the file, whose suffix says what to write. An existing file is replaced.
 
     Raises:
@@ -36,55 +35,58 @@ def write_point_cloud(cloud: PointCloud, path: str | os.PathLike[str]) -> None:
     if suffix not in _WRITERS:
         raise ValueError(f"{path} has the suffix {suffix!r}; clouds are saved as {_SUFFIXES}.")
     for what in ("weights", "colours"):
-        if suffix == ".npy" and getattr(cloud, what) is not None:
+        if suffix == ".npy" and cloud[what] is not None:
             raise ValueError(f"{path} would lose the {what}; save the cloud as .npz instead.")
     with atomic_path(path) as temporary:
         _WRITERS[suffix](cloud, temporary)
 
 
-def _table(cloud: PointCloud) -> tuple[list[str], Float64[np.ndarray, "n k"]]:
+def _table(cloud: Columns) -> tuple[list[str], Float64[np.ndarray, "n k"]]:
     """The names of all columns, and the columns."""
-    names, columns = ["x", "y", "z"], [cloud.points]
-    if cloud.normals is not None:
+    names, columns = ["x", "y", "z"], [cloud["points"]]
+    if cloud["normals"] is not None:
         names += ["nx", "ny", "nz"]
-        columns.append(cloud.normals)
-    if cloud.weights is not None:
+        columns.append(cloud["normals"])
+    if cloud["weights"] is not None:
         names.append("weight")
-        columns.append(cloud.weights[:, None])
-    if cloud.colours is not None:
+        columns.append(cloud["weights"][:, None])
+    if cloud["colours"] is not None:
         names += _COLOURS
-        columns.append(cloud.colours)
+        columns.append(cloud["colours"])
     return names, np.hstack(columns)
 
 
-def _write_ply(cloud: PointCloud, path: Path) -> None:
+def _write_ply(cloud: Columns, path: Path) -> None:
     names, table = _table(cloud)
     kinds = dict.fromkeys(names, ("double", "<f8"))
-    if cloud.colours is not None and (np.rint(255 * cloud.colours) / 255 == cloud.colours).all():
+    if (
+        cloud["colours"] is not None
+        and (np.rint(255 * cloud["colours"]) / 255 == cloud["colours"]).all()
+    ):
         table[:, -3:] = np.rint(255 * table[:, -3:])
         kinds |= dict.fromkeys(_COLOURS, ("uchar", "u1"))
-    rows = np.empty(len(cloud), [(name, kind) for name, (_, kind) in kinds.items()])
+    rows = np.empty(len(cloud["points"]), [(name, kind) for name, (_, kind) in kinds.items()])
     for name, column in zip(names, table.T, strict=True):
         rows[name] = column
     header = [
         "ply",
         "format binary_little_endian 1.0",
-        f"element vertex {len(cloud)}",
+        f"element vertex {len(cloud['points'])}",
         *(f"property {kind} {name}" for name, (kind, _) in kinds.items()),
         "end_header\n",
     ]
     path.write_bytes("\n".join(header).encode() + rows.tobytes())
 
 
-def _write_csv(cloud: PointCloud, path: Path) -> None:
+def _write_csv(cloud: Columns, path: Path) -> None:
     names, table = _table(cloud)
     _write_lines(path, [",".join(names)], ",", table)
 
 
-def _write_xyz(cloud: PointCloud, path: Path) -> None:
+def _write_xyz(cloud: Columns, path: Path) -> None:
     names, table = _table(cloud)
     # Other programs read three or six bare columns; four or seven mean something only by name.
-    bare = cloud.weights is None and cloud.colours is None
+    bare = cloud["weights"] is None and cloud["colours"] is None
     header = [] if bare else ["# " + " ".join(names)]
     _write_lines(path, header, " ", table)
 
@@ -97,20 +99,19 @@ def _write_lines(
     path.write_text("\n".join([*header, *rows, ""]), encoding="utf-8", newline="\n")
 
 
-def _write_npy(cloud: PointCloud, path: Path) -> None:
+def _write_npy(cloud: Columns, path: Path) -> None:
     # An open file, because NumPy appends .npy to a path that ends in .NPY.
     with path.open("wb") as file:
         np.save(file, _table(cloud)[1])
 
 
-def _write_npz(cloud: PointCloud, path: Path) -> None:
-    arrays = {name: getattr(cloud, name) for name in Columns.__annotations__}
-    present = {name: array for name, array in arrays.items() if array is not None}
+def _write_npz(cloud: Columns, path: Path) -> None:
+    present = {name: array for name, array in cloud.items() if array is not None}
     with path.open("wb") as file:
         np.savez_compressed(file, **present)
 
 
-_WRITERS: dict[str, Callable[[PointCloud, Path], None]] = {
+_WRITERS: dict[str, Callable[[Columns, Path], None]] = {
     ".ply": _write_ply,
     ".xyz": _write_xyz,
     ".csv": _write_csv,

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from petalfit import __version__  # pyright: ignore[reportAttributeAccessIssue]  # not lazy
 from petalfit.fitting.result import Agreement, FitResult
 from petalfit.observations import PointCloud, Silhouette
 from petalfit.observations.atomic import atomic_path
@@ -35,6 +34,7 @@ from petalfit.report.tables import (
     starts_table,
 )
 from petalfit.report.viewer import fingerprint, script, viewer
+from petalfit.version import VERSION
 
 # Pixels, of which a page's pixel has two.
 _WIDE, _NARROW, _MAP = 960, 880, 680
@@ -81,7 +81,7 @@ def _page(result: FitResult) -> str:
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f'<meta name="generator" content="petalfit {__version__}">\n'
+        f'<meta name="generator" content="petalfit {VERSION}">\n'
         f'<meta http-equiv="Content-Security-Policy" content="{_policy(program)}">\n'
         f"<title>{kind} fit · petalfit</title>\n<style>\n{style}</style>\n</head>\n<body>\n<main>\n"
         f"{content}\n</main>\n"

@@ -1,6 +1,11 @@
 """Differentiable surfaces: a map (u, v) → ℝ³ and what follows from the map alone."""
 
 from petalfit.surfaces.deformation import AbstractDeformedSurface as AbstractDeformedSurface
+from petalfit.surfaces.map import AbstractMap as AbstractMap
+from petalfit.surfaces.map import Domain as Domain
+from petalfit.surfaces.map import Scalar as Scalar
+from petalfit.surfaces.map import broadcast_floats as broadcast_floats
+from petalfit.surfaces.map import position_and_tangents as position_and_tangents
 from petalfit.surfaces.outline import Outline as Outline
 from petalfit.surfaces.outline import outline as outline
 from petalfit.surfaces.parameter import WRAPPED as WRAPPED
@@ -25,11 +30,8 @@ from petalfit.surfaces.silhouette import coverage as coverage
 from petalfit.surfaces.silhouette import outline_rings as outline_rings
 from petalfit.surfaces.silhouette import rings as rings
 from petalfit.surfaces.surface import AbstractSurface as AbstractSurface
-from petalfit.surfaces.surface import Domain as Domain
-from petalfit.surfaces.surface import Scalar as Scalar
-from petalfit.surfaces.surface import broadcast_floats as broadcast_floats
-from petalfit.surfaces.surface import position_and_tangents as position_and_tangents
 from petalfit.surfaces.symmetry import is_of_revolution as is_of_revolution
 from petalfit.surfaces.tessellation import grid_faces as grid_faces
 from petalfit.surfaces.tessellation import grid_uv as grid_uv
 from petalfit.surfaces.tessellation import moved as moved
+from petalfit.surfaces.traits import Oscillation as Oscillation

@@ -17,8 +17,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from petalfit.compilation import Program
 from petalfit.observations import Camera
+from petalfit.surfaces.map import AbstractMap, position_and_tangents
 from petalfit.surfaces.programs import grid_positions
-from petalfit.surfaces.surface import AbstractSurface, position_and_tangents
 
 PLACES = 1536  # always as many, so that one program serves all
 _OUTSIDE = 1e-3  # pixels
@@ -58,7 +58,7 @@ class Outline(NamedTuple):
 
 
 def outline(
-    surface: AbstractSurface, camera: Camera, resolution: tuple[int, int] = (97, 65)
+    surface: AbstractMap, camera: Camera, resolution: tuple[int, int] = (97, 65)
 ) -> Outline:
     """The outline of a surface. Call it inside `jax.enable_x64(True)`.
 
@@ -159,7 +159,7 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def image_and_tangents(
-    surface: AbstractSurface, matrix: Float[Array, "3 4"], uv: Float[Array, "n 2"]
+    surface: AbstractMap, matrix: Float[Array, "3 4"], uv: Float[Array, "n 2"]
 ) -> tuple[Float[Array, "n 2"], Float[Array, "2 n 2"]]:
     """Places in the image, and their derivatives by u and by v stacked in front."""
     position, tangents = position_and_tangents(surface, uv[:, 0], uv[:, 1])
@@ -169,7 +169,7 @@ def image_and_tangents(
 
 
 def _outline_places(
-    surface: AbstractSurface,
+    surface: AbstractMap,
     matrix: Float[Array, "3 4"],
     uv: Float[Array, "n 2"],
     along: Float[Array, "n 2"],

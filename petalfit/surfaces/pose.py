@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from petalfit.surfaces.surface import Scalar
+from petalfit.surfaces.map import Scalar
 
 Numbers: TypeAlias = Array | np.ndarray
 

@@ -5,18 +5,18 @@ from __future__ import annotations
 from jaxtyping import Array
 
 from petalfit.compilation import Program
-from petalfit.surfaces.surface import AbstractSurface
+from petalfit.surfaces.map import AbstractMap
 
 
-def _position_and_normal(surface: AbstractSurface, u: Array, v: Array) -> tuple[Array, Array]:
+def _position_and_normal(surface: AbstractMap, u: Array, v: Array) -> tuple[Array, Array]:
     return surface(u, v), surface.normal(u, v)
 
 
-def _grid_positions(surface: AbstractSurface, u: Array, v: Array) -> Array:
+def _grid_positions(surface: AbstractMap, u: Array, v: Array) -> Array:
     return surface(u[:, None], v[None, :])
 
 
-def _area_element(surface: AbstractSurface, u: Array, v: Array) -> Array:
+def _area_element(surface: AbstractMap, u: Array, v: Array) -> Array:
     return surface.area_element(u, v)
 
 

@@ -7,15 +7,15 @@ import numpy as np
 from jaxtyping import Float
 
 from petalfit.observations import PointCloud
+from petalfit.surfaces.map import AbstractMap
 from petalfit.surfaces.programs import area_element, position_and_normal
-from petalfit.surfaces.surface import AbstractSurface
 
 # Cells of the proposal density. Fine enough for the peony's midrib (1/40 of the width) and ribs.
 _CELLS = (512, 128)
 _MARGIN = 1.1  # of the envelope over the largest area element at a cell's corners
 
 
-def sample(surface: AbstractSurface, n: int, seed: int = 0, noise: float = 0.0) -> PointCloud:
+def sample(surface: AbstractMap, n: int, seed: int = 0, noise: float = 0.0) -> PointCloud:
     """Random points, uniform by area, with isotropic Gaussian noise.
 
     Rejection sampling of (u, v) against a piecewise constant envelope of the area element, so that the
@@ -42,9 +42,7 @@ def sample(surface: AbstractSurface, n: int, seed: int = 0, noise: float = 0.0) 
     return PointCloud(points + noise * rng.standard_normal(points.shape), normals=normals)
 
 
-def sample_uv(
-    surface: AbstractSurface, n: int, rng: np.random.Generator
-) -> Float[np.ndarray, "n 2"]:
+def sample_uv(surface: AbstractMap, n: int, rng: np.random.Generator) -> Float[np.ndarray, "n 2"]:
     """The (u, v) that `sample` takes. Call it inside `jax.enable_x64(True)`."""
     low, high = np.array(surface.domain).T
     u, v = (

@@ -8,8 +8,9 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from petalfit.surfaces.map import Domain, Scalar
 from petalfit.surfaces.parameter import length
-from petalfit.surfaces.surface import AbstractSurface, Domain, Scalar
+from petalfit.surfaces.surface import AbstractSurface
 from petalfit.surfaces.waves import cos, sin
 
 

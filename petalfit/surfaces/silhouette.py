@@ -7,16 +7,16 @@ import numpy as np
 from jaxtyping import Float
 
 from petalfit.observations import Camera, Silhouette, TargetError
+from petalfit.surfaces.map import AbstractMap
 from petalfit.surfaces.outline import rims_and_folds, sheets
 from petalfit.surfaces.programs import grid_positions
-from petalfit.surfaces.surface import AbstractSurface
 
 RESOLUTION = (257, 129)
 _GRID = 2.0**-20  # pixels
 
 
 def silhouette(
-    surface: AbstractSurface, camera: Camera, resolution: tuple[int, int] = RESOLUTION
+    surface: AbstractMap, camera: Camera, resolution: tuple[int, int] = RESOLUTION
 ) -> Silhouette:
     """What a camera sees of a surface: for each pixel the share that the surface covers.
 
@@ -34,7 +34,7 @@ def silhouette(
 
 
 def outline_rings(
-    surface: AbstractSurface, camera: Camera, resolution: tuple[int, int] = RESOLUTION
+    surface: AbstractMap, camera: Camera, resolution: tuple[int, int] = RESOLUTION
 ) -> list[np.ndarray]:
     """The boundary of all that is covered by the projected mesh of a surface, in pixels.
 

@@ -1,166 +1,34 @@
-"""The abstract differentiable surface: a map (u, v) → ℝ³ and all that follows from the map alone."""
+"""The abstract surface: a map (u, v) → ℝ³ with the verbs that users call on it."""
 
 from __future__ import annotations
 
-import abc
-from typing import TYPE_CHECKING, ClassVar, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, ArrayLike, Float, Real
+from petalfit.surfaces.map import AbstractMap
+from petalfit.surfaces.sampling import sample
+from petalfit.surfaces.silhouette import silhouette
+from petalfit.surfaces.tessellation import tessellate
 
 if TYPE_CHECKING:
     import trimesh
 
     from petalfit.observations import Camera, PointCloud, Silhouette
 
-# A parameter's value. Leaves stay as they are given: a Python float keeps its 64 bits whatever
-# precision jax computes in.
-Scalar: TypeAlias = float | int | np.floating | Real[Array, ""] | Real[np.ndarray, ""]
 
-
-class Domain(NamedTuple):
-    """The rectangle of parameters that a surface is defined on."""
-
-    u: tuple[float, float]
-    v: tuple[float, float]
-
-
-class AbstractSurface(eqx.Module):
+class AbstractSurface(AbstractMap):
     """A surface S(u, v) in ℝ³. A subclass gives `domain` and `position`; the rest follows by autodiff.
 
-    `position` is written with `jax.numpy`, elementwise in u and v, so that everything here works on
-    arrays of any shape without `vmap`. The leaves of the module are the surface's parameters.
-
-    Attributes:
-        domain: Ranges of u and v.
-        orientation: +1 where ∂S/∂u × ∂S/∂v is the outward normal (+z for the rectangle), −1 where the
-            paper's parametrisation makes it point inward.
-        regular: True promises that the tangents are independent everywhere, which spares `normal` the
-            care that poles need (half the cost of a deformed surface's derivatives).
-        edges: Whether the surface ends where u does, and where v does. Without, the map goes on there: it
-            runs around, or over a pole.
+    See `AbstractMap` for its attributes.
     """
-
-    domain: ClassVar[Domain]
-    orientation: ClassVar[float] = 1.0
-    regular: ClassVar[bool] = False
-    edges: ClassVar[tuple[bool, bool]] = (True, True)
-
-    @abc.abstractmethod
-    def position(
-        self, u: Float[Array, "*shape"], v: Float[Array, "*shape"]
-    ) -> Float[Array, "*shape 3"]:
-        """The map itself, for u and v of one shape."""
-
-    def __call__(
-        self, u: Real[ArrayLike, "..."], v: Real[ArrayLike, "..."]
-    ) -> Float[Array, "... 3"]:
-        """Points S(u, v).
-
-        Args:
-            u: Values of the first parameter, any shape; broadcast against `v`.
-            v: Values of the second parameter.
-
-        Returns:
-            Points, the broadcast shape followed by 3, in the unit of the surface's lengths.
-        """
-        return self.position(*broadcast_floats(u, v))
-
-    def tangents(
-        self, u: Real[ArrayLike, "..."], v: Real[ArrayLike, "..."]
-    ) -> tuple[Float[Array, "... 3"], Float[Array, "... 3"]]:
-        """The partial derivatives ∂S/∂u and ∂S/∂v, each of shape (..., 3)."""
-        tangent_u, tangent_v = position_and_tangents(self, *broadcast_floats(u, v))[1]
-        return tangent_u, tangent_v
-
-    def normal(self, u: Real[ArrayLike, "..."], v: Real[ArrayLike, "..."]) -> Float[Array, "... 3"]:
-        """Unit normals, shape (..., 3), by automatic differentiation of the map.
-
-        Where a tangent vanishes, as ∂S/∂v does at the poles of an ellipsoid, the normal is the limit
-        from inside the domain; values and first derivatives stay finite there.
-        """
-        u, v = broadcast_floats(u, v)
-        cross = _cross(self, u, v)
-        if not self.regular:
-            cross = self._away_from_poles(u, v, cross)
-        squared = jnp.sum(cross**2, -1, keepdims=True)
-        return self.orientation * cross / jnp.sqrt(jnp.where(squared > 0, squared, 1.0))
-
-    def _away_from_poles(self, u: Array, v: Array, cross: Array) -> Array:
-        """N = ∂u × ∂v, replaced by a vector of its limit's direction where it vanishes."""
-        _, tangents = position_and_tangents(self, u, v)
-        scale = jnp.sum(tangents**2, (0, -1))[..., None]
-        squared = jnp.sum(cross**2, -1, keepdims=True)
-        degenerate = squared <= (32 * jnp.finfo(cross.dtype).eps * scale) ** 2
-        # At a pole N vanishes like h·N', with h the distance into the domain. N/h = N' + h·N''/2:
-        # evaluating N' at half the offset gives the right slope as well as the right value.
-        (u_low, u_high), (v_low, v_high) = self.domain
-        inward = jax.tree.map(
-            jax.lax.stop_gradient, (0.5 * (u_low + u_high) - u, 0.5 * (v_low + v_high) - v)
-        )
-        half = tuple(0.5 * (x + jax.lax.stop_gradient(x)) for x in (u, v))
-        _, derivative = jax.jvp(lambda u, v: _cross(self, u, v), half, inward)
-        return jnp.where(degenerate, derivative, cross)
-
-    def area_element(
-        self, u: Real[ArrayLike, "..."], v: Real[ArrayLike, "..."]
-    ) -> Float[Array, "..."]:
-        """|∂S/∂u × ∂S/∂v|, the area per unit of du dv; zero with a zero gradient at a pole."""
-        squared = jnp.sum(_cross(self, *broadcast_floats(u, v)) ** 2, -1)
-        positive = squared > 0
-        return jnp.where(positive, jnp.sqrt(jnp.where(positive, squared, 1.0)), 0.0)
-
-    def area(self, resolution: tuple[int, int] = (512, 256)) -> Float[Array, ""]:
-        """Surface area by the midpoint rule on `resolution` cells, in the unit of length squared."""
-        (u_low, u_high), (v_low, v_high) = self.domain
-        n_u, n_v = resolution
-        u = u_low + (u_high - u_low) * (jnp.arange(n_u) + 0.5) / n_u
-        v = v_low + (v_high - v_low) * (jnp.arange(n_v) + 0.5) / n_v
-        cell = (u_high - u_low) * (v_high - v_low) / (n_u * n_v)
-        return cell * jnp.sum(self.area_element(u[:, None], v[None, :]))
 
     def sample(self, n: int, seed: int = 0, noise: float = 0.0) -> PointCloud:
         """An area-uniform random cloud of the surface. See `petalfit.surfaces.sampling`."""
-        from petalfit.surfaces.sampling import sample
-
         return sample(self, n, seed, noise)
 
     def mesh(self, resolution: tuple[int, int] = (65, 65)) -> trimesh.Trimesh:
         """A triangle mesh with UVs. See `petalfit.surfaces.tessellation`."""
-        from petalfit.surfaces.tessellation import tessellate
-
         return tessellate(self, resolution)
 
     def silhouette(self, camera: Camera) -> Silhouette:
         """The exact coverage of every pixel of a camera. See `petalfit.surfaces.silhouette`."""
-        from petalfit.surfaces.silhouette import silhouette
-
         return silhouette(self, camera)
-
-
-def broadcast_floats(u: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
-    """Both as floating point arrays of one shape."""
-    dtype = jnp.result_type(u, v, float)
-    u, v = jnp.broadcast_arrays(jnp.asarray(u, dtype), jnp.asarray(v, dtype))
-    return u, v
-
-
-def position_and_tangents(
-    surface: AbstractSurface, u: Float[Array, "*shape"], v: Float[Array, "*shape"]
-) -> tuple[Float[Array, "*shape 3"], Float[Array, "2 *shape 3"]]:
-    """S, and ∂S/∂u and ∂S/∂v stacked in front, by one pass through the map."""
-
-    def along(du: ArrayLike, dv: ArrayLike) -> tuple[Array, Array]:
-        return jax.jvp(surface.position, (u, v), (jnp.full_like(u, du), jnp.full_like(v, dv)))
-
-    return jax.vmap(along, out_axes=(None, 0))(*np.eye(2))
-
-
-def _cross(surface: AbstractSurface, u: Array, v: Array) -> Array:
-    # Written out: under vmap and grad, `jnp.cross` costs twice as much.
-    _, tangents = position_and_tangents(surface, u, v)
-    (a_x, a_y, a_z), (b_x, b_y, b_z) = (jnp.unstack(tangent, axis=-1) for tangent in tangents)
-    return jnp.stack([a_y * b_z - a_z * b_y, a_z * b_x - a_x * b_z, a_x * b_y - a_y * b_x], axis=-1)

@@ -7,14 +7,14 @@ import numpy as np
 from jaxtyping import Array
 
 from petalfit.compilation import Program
+from petalfit.surfaces.map import AbstractMap
 from petalfit.surfaces.pose import about_y
-from petalfit.surfaces.surface import AbstractSurface
 
 _TURN = 0.7  # rad; any angle but a simple fraction of a turn
 _EQUAL = 1e-9  # of the surface's size
 
 
-def is_of_revolution(surface: AbstractSurface) -> bool:
+def is_of_revolution(surface: AbstractMap) -> bool:
     """Whether a turn about the y axis maps the surface onto itself, by a shift of u or of v."""
     low, high = np.array(surface.domain).T
     u, v = (low + (high - low) * np.linspace(0.1, 0.9, 9)[:, None]).T
@@ -31,7 +31,7 @@ def is_of_revolution(surface: AbstractSurface) -> bool:
     return False
 
 
-def _position(surface: AbstractSurface, u: Array, v: Array) -> Array:
+def _position(surface: AbstractMap, u: Array, v: Array) -> Array:
     return surface(u, v)
 
 

@@ -8,15 +8,15 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
+from petalfit.surfaces.map import AbstractMap
 from petalfit.surfaces.pose import Pose
 from petalfit.surfaces.programs import position_and_normal
-from petalfit.surfaces.surface import AbstractSurface
 
 if TYPE_CHECKING:
     import trimesh
 
 
-def tessellate(surface: AbstractSurface, resolution: tuple[int, int] = (65, 65)) -> trimesh.Trimesh:
+def tessellate(surface: AbstractMap, resolution: tuple[int, int] = (65, 65)) -> trimesh.Trimesh:
     """A triangle mesh on a regular grid of the domain.
 
     Args:

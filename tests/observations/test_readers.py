@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from petalfit.observations import SUFFIXES, PointCloud, TargetError, read_point_cloud
+from petalfit.observations import SUFFIXES, PointCloud, TargetError
 
 POINTS = np.random.default_rng(0).normal(size=(12, 3))
 NORMALS = PointCloud(POINTS, normals=POINTS[::-1]).normals
@@ -48,7 +48,7 @@ def file(tmp_path):
 def refused(path: str | os.PathLike[str], message: str, n: int = 100) -> None:
     """Asserts that a file is refused with a message that begins with its path."""
     with pytest.raises(TargetError, match=message) as caught:
-        read_point_cloud(path, n)
+        PointCloud.load(path, n=n)
     assert str(caught.value).startswith(f"{path}: ")
     assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < len(str(path)) + 420
@@ -69,7 +69,7 @@ class TestMeshes:
     )
     def test_faces_are_sampled(self, file, name, content):
         path = file(name, content)
-        cloud = read_point_cloud(path, n=2000, seed=3)
+        cloud = PointCloud.load(path, n=2000, seed=3)
         assert len(cloud) == 2000
         radius = np.linalg.norm(cloud.points, axis=1)
         assert 0.95 < radius.min() <= radius.max() <= 1.0 + 1e-6
@@ -83,7 +83,7 @@ class TestMeshes:
         parts = trimesh.Scene(trimesh.creation.box()).export(file_type="gltf")
         for name, content in parts.items():
             file(name, content)
-        np.testing.assert_allclose(read_point_cloud(tmp_path / "model.gltf").extent, 1.0, atol=0.01)
+        np.testing.assert_allclose(PointCloud.load(tmp_path / "model.gltf").extent, 1.0, atol=0.01)
         (tmp_path / "gltf_buffer_0.bin").unlink()
         refused(tmp_path / "model.gltf", "FileNotFoundError: .*gltf_buffer_0.bin.*files it names")
 
@@ -93,13 +93,13 @@ class TestMeshes:
         for buffer in model["buffers"]:
             content = base64.b64encode(parts[buffer["uri"]]).decode()
             buffer["uri"] = f"data:application/octet-stream;base64,{content}"
-        assert len(read_point_cloud(file("a.gltf", json.dumps(model)), n=50)) == 50
+        assert len(PointCloud.load(file("a.gltf", json.dumps(model)), n=50)) == 50
 
     def test_scenes_keep_their_places(self, file):
         scene = trimesh.Scene(trimesh.creation.box())
         shift = trimesh.transformations.translation_matrix([9, 0, 0])
         scene.add_geometry(trimesh.creation.box(), transform=shift)
-        cloud = read_point_cloud(file("a.glb", scene.export(file_type="glb")))
+        cloud = PointCloud.load(file("a.glb", scene.export(file_type="glb")))
         np.testing.assert_allclose(cloud.extent, [10.0, 1.0, 1.0], atol=0.01)
 
     def test_polygons_are_triangulated(self, file):
@@ -107,7 +107,7 @@ class TestMeshes:
         faces = "element face 2\nproperty list uchar int vertex_indices\nend_header\n"
         corners = "0 0 0\n2 0 0\n2 1 0\n0 1 0\n0 1 1\n"
         path = file("a.ply", header + faces + corners + "4 0 1 2 3\n3 3 2 4\n")
-        assert (read_point_cloud(path, 3000).points[:, 2] == 0.0).mean() == pytest.approx(
+        assert (PointCloud.load(path, n=3000).points[:, 2] == 0.0).mean() == pytest.approx(
             2.0 / 3.0, abs=4.0 * np.sqrt(2.0 / 9.0 / 3000)
         )
 
@@ -121,7 +121,7 @@ class TestMeshes:
 
     def test_n_must_be_positive(self, file):
         with pytest.raises(ValueError, match="n is 0") as caught:
-            read_point_cloud(file("a.stl", sphere("stl")), n=0)
+            PointCloud.load(file("a.stl", sphere("stl")), n=0)
         assert not isinstance(caught.value, TargetError)
 
     @pytest.mark.parametrize("extension", ["KHR_draco_mesh_compression", "EXT_meshopt_compression"])
@@ -133,13 +133,13 @@ class TestMeshes:
 class TestVertexClouds:
     def test_every_vertex_is_taken(self, file):
         path = file("a.obj", "".join(f"v {x!r} {y!r} {z!r}\n" for x, y, z in POINTS.tolist()))
-        cloud = read_point_cloud(path, n=3)
+        cloud = PointCloud.load(path, n=3)
         np.testing.assert_array_equal(cloud.points, POINTS)
         assert cloud.normals is None
 
     def test_glb(self, file):
         scene = trimesh.Scene(trimesh.PointCloud(POINTS))
-        cloud = read_point_cloud(file("a.glb", scene.export(file_type="glb")))
+        cloud = PointCloud.load(file("a.glb", scene.export(file_type="glb")))
         np.testing.assert_array_equal(cloud.points, POINTS.astype(np.float32))
 
     @pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian", "binary_big_endian"])
@@ -155,7 +155,7 @@ class TestVertexClouds:
             body = text_of(table).encode()
         else:
             body = table.astype((">" if "big" in encoding else "<") + code).tobytes()
-        cloud = read_point_cloud(file("a.ply", header.encode() + body))
+        cloud = PointCloud.load(file("a.ply", header.encode() + body))
         np.testing.assert_array_equal(cloud.points, POINTS.astype(code))
         np.testing.assert_allclose(cloud.normals, NORMALS, atol=2e-16 if code == "f8" else 1e-7)
         np.testing.assert_array_equal(cloud.weights, weights)
@@ -166,12 +166,12 @@ class TestText:
     @pytest.mark.parametrize("delimiter", [",", ";", "\t", " ", "   ", ", "])
     def test_delimiters_and_comments(self, file, suffix, delimiter):
         text = f"# a scan\n\n{text_of(POINTS, delimiter=delimiter)}# the end\n"
-        cloud = read_point_cloud(file("a" + suffix, text.replace("\n", "  # why\r\n")))
+        cloud = PointCloud.load(file("a" + suffix, text.replace("\n", "  # why\r\n")))
         np.testing.assert_array_equal(cloud.points, POINTS)
 
     def test_semicolons_allow_decimal_commas(self, file):
         text = "x;y;z\n" + text_of(POINTS, delimiter=";").replace(".", ",")
-        np.testing.assert_array_equal(read_point_cloud(file("a.csv", text)).points, POINTS)
+        np.testing.assert_array_equal(PointCloud.load(file("a.csv", text)).points, POINTS)
 
     @pytest.mark.parametrize("delimiter", [" ", "\t"])
     def test_decimal_commas_are_not_mistaken_for_delimiters(self, file, delimiter):
@@ -182,23 +182,23 @@ class TestText:
         "header", ["x,y,z", "# x y z", "// X Y Z", "\ufeffX;Y;Z", "East North Up", '"x","y","z"']
     )
     def test_headers(self, file, header):
-        cloud = read_point_cloud(file("a.csv", f"{header}\n{text_of(POINTS)}"))
+        cloud = PointCloud.load(file("a.csv", f"{header}\n{text_of(POINTS)}"))
         np.testing.assert_array_equal(cloud.points, POINTS)
 
     def test_names_say_which_column_is_which(self, file):
         weights = np.arange(12.0)
         table = [weights, NORMALS, POINTS[:, ::-1], np.ones(12)]
         text = ",weight,nx,ny,nz,z,y,x,red\n" + text_of(np.arange(12), *table, delimiter=",")
-        cloud = read_point_cloud(file("a.csv", text))
+        cloud = PointCloud.load(file("a.csv", text))
         np.testing.assert_array_equal(cloud.points, POINTS)
         np.testing.assert_array_equal(cloud.normals, NORMALS)
         np.testing.assert_array_equal(cloud.weights, weights)
 
     @pytest.mark.parametrize("columns", [1, 2, 4])
     def test_columns_without_names_beyond_the_third_are_ignored(self, file, columns):
-        cloud = read_point_cloud(file("a.xyz", text_of(POINTS, NORMALS[:, :1], *[POINTS] * 2)))
+        cloud = PointCloud.load(file("a.xyz", text_of(POINTS, NORMALS[:, :1], *[POINTS] * 2)))
         np.testing.assert_array_equal(cloud.points, POINTS)
-        cloud = read_point_cloud(file("b.xyz", text_of(POINTS, np.ones((12, columns)))))
+        cloud = PointCloud.load(file("b.xyz", text_of(POINTS, np.ones((12, columns)))))
         assert cloud.normals is None
         assert cloud.weights is None
 
@@ -206,9 +206,9 @@ class TestText:
     def test_six_columns_are_normals_if_they_can_be(self, file, tmp_path, suffix):
         def read(extra: np.ndarray) -> PointCloud:
             if suffix == ".xyz":
-                return read_point_cloud(file("a.xyz", text_of(POINTS, extra)))
+                return PointCloud.load(file("a.xyz", text_of(POINTS, extra)))
             np.save(tmp_path / "a.npy", np.column_stack([POINTS, extra]))
-            return read_point_cloud(tmp_path / "a.npy")
+            return PointCloud.load(tmp_path / "a.npy")
 
         np.testing.assert_array_equal(read(NORMALS).normals, NORMALS)
         np.testing.assert_allclose(read(NORMALS.round(2)).normals, NORMALS, atol=0.02)
@@ -248,20 +248,20 @@ class TestArrays:
     def test_npy(self, tmp_path, kind):
         points = (10.0 * POINTS).astype(kind)
         np.save(tmp_path / "a.npy", np.asfortranarray(points))
-        np.testing.assert_array_equal(read_point_cloud(tmp_path / "a.npy").points, points)
+        np.testing.assert_array_equal(PointCloud.load(tmp_path / "a.npy").points, points)
 
     def test_npz(self, tmp_path):
         path = tmp_path / "a.npz"
         weights = np.arange(12.0)
         np.savez(path, points=POINTS, normals=NORMALS, weights=weights, names=np.array([None]))
-        cloud = read_point_cloud(path)
+        cloud = PointCloud.load(path)
         np.testing.assert_array_equal(cloud.points, POINTS)
         np.testing.assert_array_equal(cloud.normals, NORMALS)
         np.testing.assert_array_equal(cloud.weights, weights)
 
     def test_npz_with_one_array(self, tmp_path):
         np.savez(tmp_path / "a.npz", np.column_stack([POINTS, NORMALS]))
-        np.testing.assert_array_equal(read_point_cloud(tmp_path / "a.npz").normals, NORMALS)
+        np.testing.assert_array_equal(PointCloud.load(tmp_path / "a.npz").normals, NORMALS)
 
     @pytest.mark.parametrize(
         ("arrays", "message"),
@@ -397,7 +397,7 @@ class TestFiles:
         # An STL whose normals trimesh cannot parse, of which it logs a warning.
         content = sphere("stl_ascii").decode().replace("facet normal ", "facet normal ? ")
         before = logging.getLogger("trimesh").level
-        read_point_cloud(file("a.stl", content), n=50)
+        PointCloud.load(file("a.stl", content), n=50)
         assert logging.getLogger("trimesh").level == before
         assert not caplog.records
         assert capfd.readouterr() == ("", "")
