@@ -1,8 +1,8 @@
 # %% [markdown]
 # # Colours
 #
-# **Claim.** The paper's patterns of colour, Eqs. 9 and 10, are recovered from a picture of a petal and
-# from a coloured cloud, and so are the two colours that they mix.
+# **Claim.** A fit recovers the paper's patterns of colour, Eqs. 9 and 10, from a picture of a petal and
+# from a cloud with colours. It also recovers the two colours that a pattern mixes.
 
 # %%
 import jax
@@ -25,9 +25,10 @@ image = np.clip(image, 0.0, 1.0)
 # %% [markdown]
 # ## From a texture
 #
-# A noisy picture of the petal laid flat, u to the right and the tip on top. Colours mix in linear light;
-# the fit finds the line between two of them, and the pattern along it. Even noise of the picture is
-# uneven in linear light, which the standard errors do not know: errors of three of them are seen here.
+# The texture is a noisy picture of the flattened petal, with u to the right and the tip at the top.
+# Colours mix in linear light. The fit finds the line between two colours, and the pattern along it.
+# Uniform noise of the picture is not uniform in linear light. The standard errors do not account for
+# that, so errors as large as three standard errors occur here.
 
 # %%
 result = pf.fit(pf.RadialPattern, pf.Texture(image), palette=(ground, ring))
@@ -60,8 +61,8 @@ figure.tight_layout()
 # %% [markdown]
 # ## From a cloud
 #
-# A scan with red, green and blue says where a point is and what colour the petal has there. The shape
-# is fitted first; the foot points on it are the places of the colours.
+# A scan with red, green and blue gives the position and the colour of each point. The shape is fitted
+# first. The foot points on it are the (u, v) of the colours.
 
 # %%
 ribs = pf.RibPattern(i_1=0.5, i_2=0.45, f=9.0, n_1=0.5, n_2=0.6, k=0.4)

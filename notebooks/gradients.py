@@ -2,12 +2,12 @@
 # # Gradients through a fit
 #
 # **Claim.** The result of a fit is a differentiable function of its data. The gradient equals finite
-# differences of refits, and costs one fit instead of one for every coordinate of every point.
+# differences of repeated fits. It costs one fit instead of one fit for every coordinate of every point.
 #
-# A settled fit solves F(t, data) = 0, with F the gradient of its cost. The implicit function theorem
-# gives dt = −(∂F/∂t)⁻¹ ∂F/∂data, so that nothing is differentiated through the iterations:
-# `petalfit.fitting.implicit`. It says how much every point pulls at every parameter, and it lets a fit
-# be a part of something larger that is trained or optimised.
+# A converged fit solves F(t, data) = 0, where F is the gradient of its cost. The implicit function
+# theorem gives dt = −(∂F/∂t)⁻¹ ∂F/∂data, so the iterations need not be differentiated
+# (`petalfit.fitting.implicit`). The gradient shows how strongly each point affects each parameter. It
+# also allows a fit to be a part of a larger model that is trained or optimised.
 
 # %%
 import jax
@@ -59,8 +59,9 @@ by_points = np.stack([fit_and_pull(x, weights)[1] for weights in jnp.eye(len(fre
 by_points.shape
 
 # %% [markdown]
-# Five parameters by three coordinates of six hundred points. Moving all points by a random step and
-# fitting again must change the parameters as the gradient says:
+# The array has the derivatives of five parameters with respect to three coordinates of six hundred
+# points. If all points move by a random step, a new fit must change the parameters as the gradient
+# predicts:
 
 # %%
 step = 1e-4 * np.random.default_rng(0).standard_normal(points.shape)
@@ -77,10 +78,11 @@ pictures.table(
 )
 
 # %% [markdown]
-# ## Who holds what
+# ## Which points determine which parameter
 #
-# How far each parameter moves when a point is lifted off the surface. The width is held by the margins,
-# the bend by the tip, and the cup by the margins against the middle, as a botanist would measure them.
+# The colours show how far a parameter moves when a point is lifted off the surface. The margins
+# determine the width, the tip determines the bend, and the margins relative to the middle determine the
+# cup. A botanist would measure these quantities at the same places.
 
 # %%
 u, v = np.asarray(uv).T
@@ -110,12 +112,13 @@ assert share("bend", tip) > 0.3
 assert share("a_x", margin) > 0.3
 
 # %% [markdown]
-# ## Error bars, once more
+# ## Error bars from the gradient
 #
-# Noise in the points becomes error of the parameters by this very gradient: Σ σ² ∂θ/∂x ∂θ/∂xᵀ. Forty
-# new draws of the noise, on the same places of the sepal, scattered by 0.025, 0.032, 0.004, 0.004 and
-# 0.018, as the gradient says. The standard errors of a fit are larger, above all that of the length:
-# another scan has other places too, and nobody knows how far its last point is from the tip.
+# The same gradient maps the noise of the points to errors of the parameters: Σ σ² ∂θ/∂x ∂θ/∂xᵀ. Forty
+# new draws of the noise at the same places of the sepal had standard deviations of 0.025, 0.032, 0.004,
+# 0.004 and 0.018, as the gradient predicts. The standard errors of a fit are larger, above all that of
+# the length. The reason is that another scan also has other places, and the distance of its last point
+# from the tip is unknown.
 
 # %%
 spread = NOISE * np.sqrt(np.einsum("pnk,pnk->p", by_points, by_points))

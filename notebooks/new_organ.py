@@ -1,10 +1,11 @@
 # %% [markdown]
 # # A new organ in ten lines
 #
-# **Claim.** Whatever maps (u, v) to space can be fitted: an organ that the paper does not have takes
-# ten lines, and is recovered from a cloud without a start, with errors and warnings like every other.
+# **Claim.** Any surface that maps (u, v) to space can be fitted. An organ that the paper does not have
+# takes ten lines, and is recovered from a cloud without a start, with standard errors and warnings.
 #
-# A strap-shaped ray floret narrows to both ends, is folded along its middle and bends outwards:
+# The example is a strap-shaped ray floret. It narrows to both ends, is folded along its middle and
+# bends outwards:
 
 # %%
 import tempfile
@@ -37,10 +38,10 @@ class RayFloret(AbstractSurface):
 
 
 # %% [markdown]
-# Every parameter says its unit, the range that it may have and the range that it usually has: starts
-# are sought in that one, and the word *not determined* is measured by it. Normals, area, meshes,
-# samples, silhouettes and derivatives follow from `position`. It is fitted like everything else, from
-# clouds or from masks, and without a start:
+# Every parameter declares its unit, its bounds and its typical range. The fit searches for starts in
+# the typical range, and compares the standard error with it to decide what is *not determined*.
+# Normals, area, meshes, samples, silhouettes and derivatives follow from `position`. The organ is
+# fitted like every other, to clouds or to masks, and without a start:
 
 # %%
 truth = RayFloret(width=7.0, reach=28.0, bend=0.9, fold=0.5)
@@ -68,14 +69,14 @@ right.set_title("the floret")
 figure.tight_layout()
 
 # %% [markdown]
-# `regular` says that no part of the domain is drawn together to a point or a line, where the normal
-# would need care. An organ that is a deformed rectangle, cylinder or ellipsoid in the sense of the
-# paper's Eqs. 1, 5 and 7 derives from `AbstractDeformedSurface` instead, and declares its `base`,
-# `offset` and `height`; `petalfit/components/sepal.py` is one.
+# `regular` declares that no part of the domain collapses to a point or a line, where the normal would
+# need a limit. An organ that is a deformed rectangle, cylinder or ellipsoid in the sense of the paper's
+# Eqs. 1, 5 and 7 derives from `AbstractDeformedSurface` instead, and declares its `base`, `offset` and
+# `height`. `petalfit/components/sepal.py` is an example.
 #
-# ## Saved, and read again
+# ## Save and load
 #
-# A file does not hold code: `load` is told the class.
+# A file stores values but no code, so `load` needs the class.
 
 # %%
 with tempfile.TemporaryDirectory() as folder:
@@ -91,9 +92,9 @@ with tempfile.TemporaryDirectory() as folder:
 assert again.values == result.values
 
 # %% [markdown]
-# ## A flower of them
+# ## A flower of ray florets
 #
-# An organ stands in a flower like any of the paper's.
+# The new organ can be placed in a flower like those of the paper.
 
 # %%
 rays = pf.Series.of(

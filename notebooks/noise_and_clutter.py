@@ -1,9 +1,9 @@
 # %% [markdown]
 # # Noise, clutter and the Cramér–Rao bound
 #
-# **Claim.** The errors of a fit are as small as the points allow, and its error bars say how large they
-# are. With clutter among the points, a robust fit finds the petal all the same, and says which points
-# it believed.
+# **Claim.** The errors of a fit are as small as the points allow, and its standard errors have the
+# right size. If there is clutter among the points, a robust fit still finds the petal, and reports
+# which points it used.
 
 # %%
 import dataclasses
@@ -24,10 +24,11 @@ TRUE = np.array([float(getattr(truth, name)) for name in NAMES])
 # %% [markdown]
 # ## The bound
 #
-# A point blurred by noise σ in all directions tells of the surface what its normal distance tells, n ·
-# ∂S/∂θ per unit of σ. Summed over the points these are the Fisher information, and no unbiased estimate
-# from normal distances has smaller errors than the root of its inverse's diagonal. It needs the truth,
-# so it is no error bar; it is what error bars are held against.
+# If a point has noise σ in all directions, its information about the surface is that of its normal
+# distance, whose derivative is n · ∂S/∂θ. The Fisher information is the sum of the outer products of
+# these derivatives over all points, divided by σ². No unbiased estimate from normal distances has
+# smaller standard errors than the square root of the diagonal of its inverse. This bound needs the
+# truth, so it cannot serve as an error bar. It is the reference that error bars are compared with.
 
 
 # %%
@@ -77,8 +78,8 @@ right.set(xlabel="error / reported standard error", yticks=[], title="and error 
 figure.tight_layout()
 
 # %% [markdown]
-# Some errors are below the bound. It knows of normal distances only, and the fit also uses where the
-# petal ends: that helps `a_x`, `b_y` and `c`.
+# Some errors are below the bound. The bound uses only the normal distances, but the fit also uses the
+# position of the edge, which helps `a_x`, `b_y` and `c`.
 
 # %%
 ratio = np.sqrt(np.mean((error / scale) ** 2))
@@ -97,8 +98,8 @@ pictures.table(
 # %% [markdown]
 # ## Too much noise
 #
-# Ribs of height 0.3 under noise of 1 are not there for anybody to see. The fit does not pretend: with
-# that much noise it may not even settle, and says that as well.
+# Ribs of height 0.3 cannot be seen under noise of 1. The fit reports them as not determined. With that
+# much noise it may not converge, and then it reports that too.
 
 # %%
 drowned = pf.fit_petal(truth.sample(1500, seed=1, noise=1.0), throw=False)
@@ -110,8 +111,8 @@ drowned.message
 # %% [markdown]
 # ## Clutter
 #
-# A third of these points belong to nothing. Least squares has to please them all; `loss="robust"`
-# weighs every point by the probability that it belongs to the surface.
+# A third of these points are clutter. Least squares fits all points. `loss="robust"` weights every
+# point by the probability that it belongs to the surface.
 
 # %%
 rng = np.random.default_rng(0)

@@ -1,10 +1,11 @@
 # %% [markdown]
 # # The paper's figures
 #
-# **Claim.** Its equations, as printed, give its pictures, with one exception: the last step of Eq. 4.
+# **Claim.** The equations of the paper, as printed, reproduce its figures, with one exception: the last
+# step of Eq. 4.
 #
 # [The gallery](../docs/gallery.md) has a picture for every figure, and [the paper, equation by
-# equation](../docs/paper.md) says where we read it otherwise than it is printed.
+# equation](../docs/paper.md) lists where petalfit differs from the printed equations.
 
 # %%
 import jax.numpy as jnp
@@ -18,8 +19,8 @@ from petalfit.report.portrait import flower_sheets
 # %% [markdown]
 # ## Fig. 2: from a cylinder to a pedicel
 #
-# Eq. 2 swells a cylinder along its normal and bends it. In plain numpy it is four lines, and the
-# component is the same to the last digit.
+# Eq. 2 swells a cylinder along its normal and bends it. In plain numpy this takes four lines. The
+# component agrees with them to 1e-12.
 
 # %%
 pedicel = pf.Pedicel(r=4.0, h=30.0, a_1=3.0, a_2=3.0)
@@ -50,9 +51,9 @@ pictures.panels(
 # %% [markdown]
 # ## Fig. 4: from an ellipsoid to a bowl
 #
-# Here print and picture part. The last step is printed as adding −r cos(π/2 − u) to *z*. That shears
-# the upper half sideways and hollows nothing. Fig. 4(c) shows a bowl, which adding to *y* makes;
-# `hollow="printed"` is there for whoever wants the print.
+# Here the printed equation and the figure disagree. The printed last step adds −r cos(π/2 − u) to *z*.
+# This shears the upper half sideways and does not hollow it. Fig. 4(c) shows a bowl, which results from
+# adding a multiple of the term to *y*. `hollow="printed"` selects the printed step.
 
 # %%
 bowl, sheared = pf.Bowl(), pf.Bowl(hollow="printed")
@@ -72,7 +73,7 @@ pictures.panels(
 # %% [markdown]
 # ## Fig. 6: from a rectangle to a peony petal
 #
-# The terms of Eq. 8, one after the other.
+# The pictures add the terms of Eq. 8 one after the other.
 
 # %%
 petal = pf.PeonyPetal(rib_amplitude=0.5)
@@ -97,7 +98,7 @@ pictures.panels(
 # %% [markdown]
 # ## Figs. 8 and 9: a peony
 #
-# "The inside petals are bigger and more bender than outside petals."
+# The paper says: "The inside petals are bigger and more bender than outside petals."
 
 # %%
 peony = pf.peony()

@@ -1,11 +1,11 @@
 # %% [markdown]
 # # A petal from a cloud
 #
-# **Claim.** Fifteen hundred noisy points, and nothing else, give back all ten numbers that a peony
-# petal was made of, each within its own error bar.
+# **Claim.** A fit recovers all ten free parameters of a peony petal from fifteen hundred noisy points,
+# and its standard errors show how accurate they are.
 #
-# The petal is made by the paper's Eqs. 7 and 8, so that the truth is known. The fit sees the points
-# alone: it gets no start, no noise level, and no hint at how many ribs there are.
+# The petal is made by the paper's Eqs. 7 and 8, so the truth is known. The fit gets only the points: no
+# start, no noise level and no number of ribs.
 
 # %%
 import dataclasses
@@ -24,10 +24,10 @@ result = pf.fit_petal(cloud.points)
 result.message
 
 # %% [markdown]
-# ## Every number, with its error
+# ## Every parameter with its error
 #
-# The last column is the error in units of the standard error that the fit itself reports. Two out of
-# three should be below one, and nearly all below two.
+# The last column is the true error in units of the reported standard error. About two out of three
+# should be below one, and nearly all below two.
 
 # %%
 rows = []
@@ -46,11 +46,11 @@ inside = [low < getattr(truth, n) < high for n, (low, high) in result.interval(0
 assert sum(inside) >= 9
 
 # %% [markdown]
-# ## The points, the petal, and what is left
+# ## The points, the petal and the residuals
 #
-# On the right the signed distance of every point is drawn where its foot point lies on the petal, u
-# across and v along. A model that cannot follow its target shows patches of one colour there. Here
-# there are none: the distances are noise.
+# The right picture shows the signed distance of every point at its foot point on the petal, with u
+# across and v along. A model that cannot follow its target would show patches of one colour. There are
+# none here, so the distances are noise.
 
 # %%
 figure, (left, middle, right) = plt.subplots(1, 3, figsize=(9.6, 3.7), width_ratios=(1, 1, 1.05))
@@ -67,9 +67,9 @@ figure.colorbar(drawn, ax=right, shrink=0.8)
 figure.tight_layout()
 
 # %% [markdown]
-# ## Numbers can be edited
+# ## Parameters can be edited
 #
-# A point cloud cannot be asked what it would look like with deeper ribs. A petal can.
+# A point cloud cannot be changed to have deeper ribs. A petal with parameters can.
 
 # %%
 found = result.model

@@ -1,9 +1,9 @@
 # %% [markdown]
-# # A petal from one mask, and what it cannot tell
+# # A petal from one mask, and what the mask does not determine
 #
-# **Claim.** One binary mask, seen aslant, gives the outline and the bend of a petal to within a percent
-# or two. It does not give the ribs, and the result says so. The same petal seen from the front gives
-# its outline only.
+# **Claim.** One binary mask from an oblique view determines the outline and the bend of a petal to
+# within a percent or two. It does not determine the ribs, and the result reports that. A mask from the
+# front determines only the outline.
 
 # %%
 import matplotlib.pyplot as plt
@@ -39,8 +39,8 @@ results = {
 }
 
 # %% [markdown]
-# The masks, with the outlines of the petals that were fitted to them. All fit to a fraction of a
-# pixel, so that the fit of the picture says nothing about which numbers are to be trusted.
+# The pictures show the masks and the outlines of the fitted petals. All three fit to a fraction of a
+# pixel, so the quality of the fit does not show which parameters can be trusted.
 
 # %%
 figure, axes = plt.subplots(1, 4, figsize=(10.0, 3.0))
@@ -58,8 +58,8 @@ figure.tight_layout()
 # %% [markdown]
 # ## What each view determines
 #
-# A parameter is called *not determined* when its standard error is not clearly smaller than the range
-# that it typically has.
+# A parameter is called *not determined* if its standard error is not clearly smaller than its typical
+# range.
 
 
 # %%
@@ -89,10 +89,11 @@ assert any("rib_frequency is not determined" in words for words in aslant.warnin
 # %% [markdown]
 # ## Rivals
 #
-# A minimum knows nothing of other minima, and a rib frequency has many. The result keeps what every
-# start reached. By chance alone the best of some two hundred frequencies leads by ten in χ²; only
-# where every rival, and the petal without ribs, is worse by twenty is the frequency called
-# determined. Seen from the tip the ribs are waves of the outline, and it is:
+# The curvature at one minimum does not show other minima, and the rib frequency has many. The result
+# therefore keeps the minimum that each start reached. By chance alone the best of about two hundred
+# frequencies leads by ten in χ². The frequency is called determined only if every rival, and the petal
+# without ribs, is worse by twenty. Seen from the tip the ribs are waves of the outline, and there the
+# frequency is determined:
 
 # %%
 starts = sorted(tip.starts, key=lambda start: start.delta_chi2)
@@ -110,8 +111,9 @@ pictures.table(
 # %% [markdown]
 # ## A profile
 #
-# Where a standard error is too little to look at, hold a parameter and fit the others anew: the curve
-# is what the mask says about `dx`, all else free. Below the line lies the 95 % interval.
+# A profile shows more than a standard error. It holds one parameter at several values and fits the
+# others again at each. The curve is Δχ² against `dx`. The 95 % interval is where the curve lies below
+# the line.
 
 # %%
 profile = aslant.with_profile("dx", points=7).profiles["dx"]

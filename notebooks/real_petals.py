@@ -1,13 +1,13 @@
 # %% [markdown]
 # # Petals that no equation made
 #
-# **Claim.** A petal that none of the families describes exactly is still measured by a blade to within
-# one percent of its size, in any position and unit. The comparison says which family explains it best,
-# and the result says where it does not follow.
+# **Claim.** A `BladePetal` follows a petal that no family describes exactly to within one percent of
+# its size, in any position and unit. The comparison shows which family explains the petal best, and the
+# result shows where the model does not follow it.
 #
-# No scans come with petalfit, so the petal below is made, and honestly not by any model of it: a
+# petalfit comes with no scans, so the petal below is made, but not by any of the models. It has a
 # lopsided outline with a notch, a midrib on a spiral, a margin that ruffles more and more towards the
-# tip, a dent, and a random smooth relief. Somebody scanned it lying somewhere, in millimetres.
+# tip, a dent, and a random smooth relief. The points have an arbitrary pose and another unit.
 
 # %%
 import matplotlib.pyplot as plt
@@ -52,8 +52,8 @@ size = float(np.linalg.norm(np.ptp(scan, axis=0)))
 # %% [markdown]
 # ## Three families
 #
-# `model="auto"` fits all of them and ranks them by Schwarz's criterion: how much better the cloud is
-# explained, less what the freedom to explain it costs. A difference of ten is a strong preference.
+# `model="auto"` fits all families and ranks them by Schwarz's criterion (BIC): minus twice the log
+# likelihood, plus a penalty for the number of parameters. A difference of ten is a strong preference.
 
 # %%
 best = pf.fit_petal(scan, model="auto", pose="similarity", throw=False)
@@ -80,8 +80,8 @@ assert rms["SplinePetal"] < 0.004
 assert rms["BladePetal"] < 0.01
 
 # %% [markdown]
-# The splines come closest, and have no names: nothing but a shape. The blade's numbers can be read,
-# compared and edited, and it is what one would report of a hundred petals.
+# The splines come closest, but they have no named parameters. The parameters of the blade can be read,
+# compared and edited, so the blade is the better choice for reporting a hundred petals.
 
 # %%
 blade = pf.fit_petal(scan, model=pf.BladePetal, pose="similarity", throw=False)
@@ -109,11 +109,12 @@ figure.colorbar(drawn, ax=boxes[3])
 figure.tight_layout()
 
 # %% [markdown]
-# ## What a botanist would note
+# ## The quantities of a botanist
 #
-# With a similarity pose a blade keeps its length; angles and shares are those of the scan. Its
-# residuals are not noise, as the map shows: patches of one colour are shape that the blade does not
-# have. The standard errors know of noise only, and so the result warns.
+# With a similarity pose the fit holds the length of a blade and determines the scale. Angles and ratios
+# are those of the scan. The residuals are not noise, as the map shows: in patches of one colour the
+# scan has a shape that the blade cannot take. The standard errors account for noise only, so the result
+# has a warning.
 
 # %%
 shown = ("width", "widest", "tip_width", "skew", "bend", "tip_roll", "cup_base", "cup_mid", "twist")
@@ -135,9 +136,9 @@ assert any("systematic" in words for words in blade.warnings)
 assert blade.misfit is not None
 
 # %% [markdown]
-# ## Turned, scaled and shuffled
+# ## Rotated, scaled and shuffled
 #
-# Nothing depends on how the scan lay.
+# The result does not depend on the pose, the unit or the order of the points.
 
 # %%
 other = np.linalg.qr(np.random.default_rng(9).standard_normal((3, 3)))[0]
