@@ -1,7 +1,7 @@
 """Every file of a folder beside what was fitted to it: `python docs/contact_sheet.py FOLDER sheet.png`.
 
 Clouds and meshes in any pose and unit; a line a file with the mean distances to the model and from it, in
-percent of the diagonal, and a picture with the points, those taken for strays in red, and the fitted
+percent of the diagonal, and a picture with the points, those taken for outliers in red, and the fitted
 surface as a grid.
 """
 
@@ -74,7 +74,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path, help="of .ply files")
     parser.add_argument("sheet", type=Path, help="picture to write")
     parser.add_argument("--model", default="BladePetal", help="BladePetal or SplinePetal")
-    parser.add_argument("--loss", default="linear", help="robust where there are strays")
+    parser.add_argument("--loss", default="linear", help="robust where there are outliers")
     arguments = parser.parse_args()
     files = sorted(arguments.folder.glob("*.ply"))
     rows = -(-len(files) // COLUMNS)
@@ -91,8 +91,8 @@ def main() -> None:
         )
         there, back = distances(path, result)
         found.append(max(there, back))
-        strays = result.agreements[0].strays
-        line = f"{path.stem}: {there:.2f} %, {back:.2f} %, {strays} strays, {result.status}"
+        outliers = result.agreements[0].outliers
+        line = f"{path.stem}: {there:.2f} %, {back:.2f} %, {outliers} outliers, {result.status}"
         print(line, flush=True)
         draw(pair, result, line)
     print(f"greater of both ways: median {np.median(found):.2f} %, worst {max(found):.2f} %")

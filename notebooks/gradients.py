@@ -6,7 +6,7 @@
 #
 # A converged fit solves F(t, data) = 0, where F is the gradient of its cost. The implicit function
 # theorem gives dt = −(∂F/∂t)⁻¹ ∂F/∂data, so the iterations need not be differentiated
-# (`petalfit.fitting.implicit`). The gradient shows how strongly each point affects each parameter. It
+# (`petalfit.fitting.solver.implicit`). The gradient shows how strongly each point affects each parameter. It
 # also allows a fit to be a part of a larger model that is trained or optimised.
 
 # %%
@@ -19,7 +19,7 @@ import pictures
 import petalfit as pf
 from petalfit.compilation import Program
 from petalfit.fitting.coordinates import Coordinates
-from petalfit.fitting.implicit import solve_differentiably
+from petalfit.fitting.solver.implicit import solve_differentiably
 from petalfit.residuals import Data, nearest_nodes, refine_foot_points
 from petalfit.surfaces.programs import position_and_normal
 

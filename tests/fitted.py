@@ -5,8 +5,8 @@ import functools
 
 import numpy as np
 
-from petalfit import FitResult, PeonyPetal, PointCloud, Pose, parameters
-from petalfit.fitting import Agreement, Start
+from petalfit import FitResult, FitWarning, PeonyPetal, PointCloud, Pose, Status, parameters
+from petalfit.results import Agreement, Start
 
 HOSTILE = '<script>alert("1")</script> & <img src="http://example.com/x.png">'
 NOISE = 0.05
@@ -38,9 +38,8 @@ def known_pose() -> FitResult:
         agreements=(
             Agreement(PointCloud(cloud.points, weights=weights), distances, weights, NOISE),
         ),
-        converged=True,
-        status="converged",
-        message="converged after 4 rounds",
+        status=Status.CONVERGED,
+        reason="converged after 4 rounds",
         warnings=(),
         steps=4,
         starts=(Start("rib_frequency 20.02", free, 0.0501, 0.0), Start("other", free, 0.06, 12.3)),
@@ -60,17 +59,18 @@ def posed() -> FitResult:
     (part,) = plain.agreements
     points = pose.scale * part.target.points @ turn.T + pose.translation
     warnings = (
-        "rib_frequency is not determined by this target",
-        "a_x ended at the bound of its range (1, 100)",
-        "dx ended at the bound of its range (1, 100)",
-        HOSTILE,
+        FitWarning(
+            "rib_frequency is not determined by this target", "not_determined", ["rib_frequency"]
+        ),
+        FitWarning("a_x ended at the bound of its range (1, 100)", "at_bound", ["a_x"]),
+        FitWarning("dx ended at the bound of its range (1, 100)", "at_bound", ["dx"]),
+        FitWarning(HOSTILE, "systematic"),
     )
     return dataclasses.replace(
         plain,
         pose=pose,
         agreements=(dataclasses.replace(part, target=PointCloud(points, weights=part.weights)),),
         warnings=warnings,
-        message="; ".join(["converged after 4 rounds", *warnings]),
         starts=(dataclasses.replace(plain.starts[0], label=HOSTILE), *plain.starts[1:]),
     )
 

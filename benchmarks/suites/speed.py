@@ -80,7 +80,8 @@ def _is_right(values: dict[str, float], petal: pf.PeonyPetal) -> bool:
 def _bare(petal: pf.PeonyPetal, points: np.ndarray) -> float:
     """Seconds of one evaluation that any solver needs: foot points, distances, Jacobian."""
     from petalfit.compilation import Program
-    from petalfit.fitting import programs
+    from petalfit.fitting.coordinates import in_doubles
+    from petalfit.fitting.likelihood import programs
     from petalfit.residuals import frame, pull_back, slide_foot_points
 
     def evaluate(petal: pf.PeonyPetal, points: jax.Array, uv: jax.Array) -> tuple:
@@ -89,7 +90,7 @@ def _bare(petal: pf.PeonyPetal, points: np.ndarray) -> float:
         return here.distance(points), pull_back(petal, uv, -here.normal)
 
     with jax.enable_x64(True):
-        model = programs.numbers(petal)
+        model = in_doubles(petal)
         uv = programs.refine(model, points, programs.nearest(model, points), 6)
         program = Program(evaluate)
         return timed(lambda: jax.block_until_ready(program(model, points, uv)), 20)[0]

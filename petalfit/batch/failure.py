@@ -6,20 +6,20 @@ import dataclasses
 from typing import ClassVar
 
 from petalfit.observations import TargetError
+from petalfit.results import Status
 
 
 @dataclasses.dataclass(frozen=True)
 class FitFailure:
-    """A target of a batch that has no result. It says so under the same names as a `FitResult`.
+    """A target of a batch that has no result. It says so under the names that a `FitResult` has too.
 
     Attributes:
-        status: "unusable": the target, or the options for it, cannot be used; "error": something else
-            was raised; "crashed": the process that fitted it died, of too little memory for instance.
+        status: UNUSABLE, ERROR or CRASHED; `status.meaning` says it in a sentence.
         message: What was wrong, in words.
         converged: False.
     """
 
-    status: str
+    status: Status
     message: str
     converged: ClassVar[bool] = False
 
@@ -27,5 +27,5 @@ class FitFailure:
     def of(cls, error: Exception) -> FitFailure:
         """Of what a fit raised."""
         if isinstance(error, TargetError):
-            return cls("unusable", str(error))
-        return cls("error", f"{type(error).__name__}: {error}")
+            return cls(Status.UNUSABLE, str(error))
+        return cls(Status.ERROR, f"{type(error).__name__}: {error}")

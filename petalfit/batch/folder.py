@@ -17,6 +17,7 @@ from petalfit.batch.records import Task, finished, keep, perform, read_record
 from petalfit.batch.table import TABLE, check_pyarrow, write_table
 from petalfit.compilation.cache import folder_in_common
 from petalfit.observations import TargetError
+from petalfit.results import Status
 
 FITS = "fits"
 
@@ -133,7 +134,7 @@ def _performed(
 
 
 def _crashed(task: Task) -> dict[str, Any]:
-    return keep(task, FitFailure("crashed", CRASHED), "", math.nan)
+    return keep(task, FitFailure(Status.CRASHED, CRASHED), "", math.nan)
 
 
 def _write_whole(tasks: Sequence[Task], out: Path) -> int:

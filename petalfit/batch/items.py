@@ -13,9 +13,8 @@ from petalfit.components import model_named
 from petalfit.observations import (
     IMAGE_SUFFIXES,
     SUFFIXES,
+    AbstractObservation,
     Camera,
-    PointCloud,
-    Silhouette,
     TargetError,
     read_cameras,
     read_target,
@@ -59,7 +58,7 @@ class Item(NamedTuple):
                 raise TargetError(f"{path} cannot be read: {error.strerror or error}.") from None
         return whole.hexdigest()
 
-    def read(self) -> list[PointCloud | Silhouette]:
+    def read(self) -> list[AbstractObservation]:
         """What was seen."""
         masks = [path for path in self.targets if path.suffix.lower() in IMAGE_SUFFIXES]
         cameras = dict(zip(masks, map(_camera, self.cameras), strict=False))

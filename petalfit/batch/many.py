@@ -14,9 +14,9 @@ from petalfit.batch.failure import FitFailure
 from petalfit.batch.processes import Crash, cores, in_order
 from petalfit.compilation import use_folder
 from petalfit.compilation.cache import folder_in_common
-from petalfit.components import PeonyPetal
-from petalfit.fitting import FitResult, check_request, fit
-from petalfit.observations import Camera, PointCloud, Silhouette, TargetError
+from petalfit.fitting import DEFAULT, FitResult, check_request, fit
+from petalfit.observations import AbstractObservation, Camera, TargetError
+from petalfit.results import Status
 from petalfit.surfaces import AbstractSurface
 
 CRASHED = (
@@ -32,7 +32,7 @@ def fit_batch(targets: Iterator[object], **options: Any) -> Iterator[FitResult |
 def fit_batch(  # pyright: ignore[reportInconsistentOverload]
     targets: object,
     *,
-    model: type[AbstractSurface] | AbstractSurface | Literal["auto"] = PeonyPetal,
+    model: type[AbstractSurface] | AbstractSurface | Literal["auto"] = DEFAULT,
     pose: str = "known",
     camera: Camera | None = None,
     free: Iterable[str] | None = None,
@@ -73,7 +73,7 @@ def fit_batch(  # pyright: ignore[reportInconsistentOverload]
         TargetError: The options cannot be used for any target, or `targets` is a single one.
     """
     if (
-        isinstance(targets, str | os.PathLike | PointCloud | Silhouette)
+        isinstance(targets, str | os.PathLike | AbstractObservation)
         or (isinstance(targets, np.ndarray) and targets.ndim == 2)
         or not isinstance(targets, Iterable)
     ):
@@ -109,7 +109,7 @@ def _outcomes(
     failed = 0
     for done, outcome in enumerate(outcomes, 1):
         if isinstance(outcome, Crash):
-            outcome = FitFailure("crashed", CRASHED)
+            outcome = FitFailure(Status.CRASHED, CRASHED)
         failed += not outcome.converged
         if progress is not None:
             of = "" if total is None else f" of {total}"

@@ -18,12 +18,13 @@ from petalfit.compilation import use_folder
 from petalfit.fitting import FitResult, fit
 from petalfit.observations import TargetError
 from petalfit.observations.atomic import atomic_path
+from petalfit.results import Status
 from petalfit.version import VERSION
 
 FIT = "fit.json"
 RECORD = "record.json"
 # What may go better another time, and is tried again: nothing of it is the target's fault.
-PASSING = ("error", "crashed", "not_written")
+PASSING = (Status.ERROR, Status.CRASHED, Status.NOT_WRITTEN)
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
@@ -94,7 +95,7 @@ def keep(task: Task, result: FitResult | FitFailure, digest: str, seconds: float
     except OSError as error:
         full = error.errno in _FULL
         reason = f"{task.folder} cannot be written: {error.strerror or error}"
-        return record | {"status": "not_written", "message": reason, "disk_full": full}
+        return record | {"status": str(Status.NOT_WRITTEN), "message": reason, "disk_full": full}
     return record
 
 
@@ -104,7 +105,7 @@ def _record(
     record: dict[str, Any] = {
         "id": item.id,
         "target": BETWEEN.join(map(os.fspath, item.targets)),
-        "status": result.status,
+        "status": str(result.status),
         "converged": result.converged,
         "message": result.message,
         **{name: item.options[name] for name in ("model", "pose", "loss")},
@@ -119,10 +120,10 @@ def _record(
     identifiable = {name: result.identifiable.get(name) for name in result.values}
     return record | {
         "model": type(result.model).__name__,
-        "warnings": [*result.warnings],
+        "warnings": [warning.to_json() for warning in result.warnings],
         "timings": result.timings,
         "data": int(first.distances.size),
-        "strays": first.strays,
+        "outliers": first.outliers,
         "rms": first.rms,
         "noise": first.noise,
         "values": result.values,

@@ -34,7 +34,8 @@ def write_table(records: Sequence[dict[str, Any]], path: Path) -> None:
     """Write a row for each record. Whole or not at all.
 
     Columns are, of every target: id, target, status, converged, message, model, pose, loss, seconds,
-    version, input_hash, finished (UTC), warnings, data (points, or places of a contour), strays, rms,
+    version, input_hash, finished (UTC), warnings (their sentences), warning_kinds (their kinds), data
+    (points, or places of a contour), outliers, rms,
     noise, scale, rotation (nine numbers, row by row), translation (three). Then three of each
     parameter of each model: its name for the value, and with `_stderr` (null where the data cannot
     tell) and `_identifiable`. What a target does not have is null.
@@ -59,9 +60,11 @@ def as_table(records: Sequence[dict[str, Any]]) -> pyarrow.Table:
     numbers = pa.list_(pa.float64())
     columns = {name: column(name, pa.string()) for name in _TEXT}
     columns |= {name: column(name, pa.float64()) for name in _NUMBERS}
-    columns |= {name: column(name, pa.int64()) for name in ("data", "strays")}
+    columns |= {name: column(name, pa.int64()) for name in ("data", "outliers")}
     columns["converged"] = column("converged", pa.bool_())
-    columns["warnings"] = column("warnings", pa.list_(pa.string()))
+    for name, part in (("warnings", "text"), ("warning_kinds", "kind")):
+        texts = [_each(record.get("warnings"), part) for record in records]
+        columns[name] = pa.array(texts, pa.list_(pa.string()))
     columns |= {name: column(name, numbers) for name in ("rotation", "translation")}
     for name in _parameter_names(records):
         columns[name] = of_parameter("values", name, pa.float64())
@@ -70,9 +73,15 @@ def as_table(records: Sequence[dict[str, Any]]) -> pyarrow.Table:
     return pa.table(columns)
 
 
+def _each(warnings: Sequence[dict[str, Any]] | None, part: str) -> list[str] | None:
+    """One part of every warning of a record; None of a record without any list of them."""
+    return None if warnings is None else [warning[part] for warning in warnings]
+
+
 def _parameter_names(records: Sequence[dict[str, Any]]) -> list[str]:
     """In the order in which the models declare them; what only an image has comes last."""
     used = dict.fromkeys(record["model"] for record in records if "values" in record)
     declared = [name for model in used for name in parameters(models()[model])]
     found = [name for record in records for name in record.get("values", ())]
-    return [*dict.fromkeys(name for name in (*declared, *found) if name != "scale")]
+    # A pose's scale has a column in any case; a parameter of that name would be another one.
+    return [*dict.fromkeys(name for name in (*declared, *found) if name not in _NUMBERS)]

@@ -62,7 +62,7 @@ Profile = Annotated[
 def batch(
     source: Source,
     out: Folder,
-    model: ModelName = "PeonyPetal",
+    model: ModelName = None,
     pose: PoseOption = "known",
     loss: LossOption = "linear",
     free: Free = (),
@@ -85,14 +85,15 @@ def batch(
     number, count = _shard(shard)
     from petalfit.batch.folder import Shard, run_batch
     from petalfit.batch.items import items_of
+    from petalfit.cli.models import kind_of
     from petalfit.cli.results import check_folder
-    from petalfit.components import model_named
+    from petalfit.fitting.outliers.registry import loss_named
 
     check_folder(out)
-    if model != "auto":
-        model_named(model)
+    kind = kind_of(model)
+    loss_named(loss)
     options: dict[str, Any] = {
-        "model": model,
+        "model": kind if isinstance(kind, str) else kind.__name__,
         "pose": pose,
         "loss": loss,
         "noise": noise,

@@ -117,21 +117,15 @@ def summarise(result: "FitResult", noise: float | None) -> str:
         result: what was fitted.
         noise: the noise that the user gave, if any.
     """
-    from petalfit.observations import PointCloud
-
     parts = []
     for part in result.agreements:
-        given = isinstance(part.target, PointCloud) and noise is not None
-        if isinstance(part.target, PointCloud):
-            what, unit = f"{len(part.target)} points", ""
-        else:
-            rows, columns = part.target.mask.shape
-            what, unit = f"mask of {columns} × {rows} pixels", " px"
+        unit = "" if part.unit == "length" else f" {part.unit}"
+        given = noise is not None and part.unit == "length"
         parts.append(
-            f"{what}, rms distance {part.rms:.3g}{unit}, noise {part.noise:.3g}{unit} "
+            f"{part.target.described}, rms distance {part.rms:.3g}{unit}, noise {part.noise:.3g}{unit} "
             f"({'given' if given else 'estimated'})"
         )
-    return "; ".join([*parts, outcome(result), *where_the_time_went(result)])
+    return "; ".join([*parts, result.outcome, *where_the_time_went(result)])
 
 
 def where_the_time_went(result: "FitResult") -> list[str]:
@@ -140,11 +134,6 @@ def where_the_time_went(result: "FitResult") -> list[str]:
         return []
     stages = [f"{stage} {seconds:.2g}" for stage, seconds in result.timings.items()]
     return [f"{sum(result.timings.values()):.2g} s ({', '.join(stages)})"]
-
-
-def outcome(result: "FitResult") -> str:
-    """How the fit ended, without its warnings."""
-    return result.message.removesuffix("".join(f"; {warning}" for warning in result.warnings))
 
 
 def list_files(folder: Path, contents: dict[str, str]) -> None:
@@ -161,5 +150,5 @@ def warn(result: "FitResult") -> None:
     for warning in result.warnings:
         console.print(Text(f"warning: {warning}", style="yellow"), soft_wrap=True)
     if not result.converged:
-        sentence = f"{outcome(result)}; the files hold what it ended with"
+        sentence = f"{result.outcome}; the files hold what it ended with"
         console.print(Text(f"petalfit: {sentence}", style="bold yellow"), soft_wrap=True)

@@ -40,12 +40,12 @@ Folder = Annotated[
     ),
 ]
 ModelName = Annotated[
-    str,
+    str | None,
     arg(
         name="model",
         metavar="MODEL",
-        help="Component to fit; `petalfit parameters MODEL` says what it has. auto fits all families of "
-        "petals, and keeps the one that explains a cloud best.",
+        help="Component to fit, by default a peony petal; `petalfit parameters MODEL` lists its "
+        "parameters. auto fits all families of petals, and keeps the one that explains a cloud best.",
     ),
 ]
 PoseOption = Annotated[
@@ -57,10 +57,11 @@ PoseOption = Annotated[
     ),
 ]
 LossOption = Annotated[
-    Literal["linear", "robust"],
+    str,
     arg(
         name="loss",
-        help="linear if all points belong to the petal; robust if there may be strays or clutter.",
+        metavar="LOSS",
+        help="linear if all points belong to the petal; robust if there may be outliers or clutter.",
     ),
 ]
 Free = Annotated[
@@ -97,7 +98,7 @@ def fit(
     targets: Targets,
     out: Folder,
     cameras: Cameras = (),
-    model: ModelName = "PeonyPetal",
+    model: ModelName = None,
     pose: PoseOption = "known",
     loss: LossOption = "linear",
     free: Free = (),
@@ -113,12 +114,14 @@ def fit(
     require_seed(seed)
     require(bool(targets), "there is no TARGET; give the file of a cloud, a mesh or a mask.")
     from petalfit.cli.console import fit_table, list_files, output, progress, summarise, warn
+    from petalfit.cli.models import kind_of
     from petalfit.cli.results import CONTENTS, check_folder, write_results, written_whole
     from petalfit.compilation.cache import compilation_cache
-    from petalfit.components import model_named
+    from petalfit.fitting.outliers.registry import loss_named
 
     check_folder(out)
-    kind = "auto" if model == "auto" else model_named(model)
+    kind = kind_of(model)
+    loss_named(loss)
     with progress(quiet) as show:
         show(f"reading {', '.join(map(str, targets))}")
         read = _read(targets, cameras)

@@ -4,22 +4,27 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from petalfit.cli.status import SUCCESS
+from petalfit.cli.status import SUCCESS, require
 
-Model = Annotated[Positional[str], arg(metavar="MODEL", help="Name of a component.")]
+Model = Annotated[
+    Positional[str | None],
+    arg(metavar="MODEL", help="Name of a component; without it those of a peony petal are listed."),
+]
 
 
-def parameters(model: Model = "PeonyPetal") -> int:
+def parameters(model: Model = None) -> int:
     """List the parameters of a model."""
     from rich import box
     from rich.table import Table
 
     from petalfit.cli.console import output
-    from petalfit.components import model_named
+    from petalfit.cli.models import kind_of
     from petalfit.components import parameters as declared
     from petalfit.surfaces import value_at
 
-    kind = model_named(model)
+    kind = kind_of(model)
+    require(kind != "auto", "auto is no component; name one of those that it tries.")
+    assert not isinstance(kind, str)
     one = kind()
     table = Table(box=box.SIMPLE_HEAD, header_style="bold", pad_edge=False, padding=(0, 1, 0, 0))
     for heading in ("name", "symbol", "unit"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 from typing import Any, ClassVar
 
-from petalfit.surfaces import AbstractSurface, Domain
+from petalfit.surfaces import AbstractSurface, Domain, Oscillation
 
 
 class AbstractCarrier(AbstractSurface):
@@ -39,6 +39,10 @@ class AbstractCarrier(AbstractSurface):
     @property
     def regular(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.carried.regular
+
+    @property
+    def oscillation(self) -> Oscillation | None:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.carried.oscillation
 
     def __getattr__(self, name: str) -> Any:
         # Only asked for what the carrier itself does not have: the model's parameters.

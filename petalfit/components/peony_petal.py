@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import ClassVar
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
-from petalfit.surfaces import AbstractDeformedSurface, Domain, Rectangle, Scalar, parameter
+from petalfit.surfaces import (
+    AbstractDeformedSurface,
+    Domain,
+    Oscillation,
+    Rectangle,
+    Scalar,
+    parameter,
+)
 from petalfit.surfaces.waves import sin
 
 _PI = jnp.pi
@@ -121,6 +130,15 @@ class PeonyPetal(AbstractDeformedSurface):
     )
     domain: ClassVar[Domain] = Rectangle.domain
     regular: ClassVar[bool] = True  # but for single points where a fold of the outline ends
+    oscillation: ClassVar[Oscillation | None] = Oscillation("rib_frequency", "rib_amplitude")
+
+    @property
+    def shadow(self) -> PeonyPetal:
+        """The petal with nothing rising from the plane z = 0."""
+        zero = np.float64(0.0)
+        return dataclasses.replace(
+            self, c_z=zero, dx=zero, dy=zero, rib_amplitude=zero, midrib_height=zero, tip_curl=zero
+        )
 
     @property
     def base(self) -> Rectangle:

@@ -7,8 +7,8 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from petalfit.fitting.result import FitResult
 from petalfit.observations.atomic import atomic_path
+from petalfit.results import FitRecord
 from petalfit.version import VERSION
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ _ROUGHNESS = 0.75
 
 
 def export_mesh(
-    result: FitResult, path: str | os.PathLike[str], resolution: tuple[int, int] = (65, 65)
+    result: FitRecord, path: str | os.PathLike[str], resolution: tuple[int, int] = (65, 65)
 ) -> None:
     """Write the fitted surface in the target's frame, in the format that the suffix names.
 
@@ -65,7 +65,7 @@ def export_mesh(
 
 
 def export_glb(
-    result: FitResult, path: str | os.PathLike[str], resolution: tuple[int, int] = (65, 65)
+    result: FitRecord, path: str | os.PathLike[str], resolution: tuple[int, int] = (65, 65)
 ) -> None:
     """Write the fitted surface in the target's frame as binary glTF.
 
@@ -103,7 +103,7 @@ def export_glb(
     _write(to_bytes(scene, include_normals=True), path)
 
 
-def extras(result: FitResult) -> dict[str, Any]:
+def extras(result: FitRecord) -> dict[str, Any]:
     """The numbers of a fit as plain JSON, for glTF's `extras`.
 
     Returns:

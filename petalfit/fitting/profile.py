@@ -1,19 +1,21 @@
-"""Profile likelihoods: how much worse a target is explained with a parameter held elsewhere."""
+"""Profile likelihoods: how much worse a model explains its targets with a parameter held elsewhere."""
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
 
 import numpy as np
 
 from petalfit.components import bare, parameters
-from petalfit.fitting.fit import run
-from petalfit.fitting.peony_start import RIBS
-from petalfit.fitting.result import FitResult, Profile
-from petalfit.fitting.rounds import Settled
-from petalfit.fitting.views import CORRELATED
+from petalfit.fitting.coordinates import with_values
+from petalfit.fitting.families.registry import family_of
+from petalfit.fitting.likelihood.matching import CORRELATED
+from petalfit.fitting.request.request import Request
+from petalfit.fitting.run import run
+from petalfit.fitting.solver.iterate import Iterate
+from petalfit.fitting.solver.observer import reporting_to
 from petalfit.observations import TargetError
+from petalfit.results import FitRecord, Profile
 from petalfit.surfaces import with_value
 
 _REACH = 5.0  # standard errors to either side
@@ -22,10 +24,10 @@ _TRIMMED = 0.05  # of a contour
 _INSIDE = 1e-6  # of the bounds
 
 
-def with_profile(
-    result: FitResult, name: str, points: int, progress: Callable[[str], None] | None
-) -> FitResult:
-    """See `FitResult.with_profile`."""
+def profile_of(
+    result: FitRecord, name: str, points: int, progress: Callable[[str], None] | None
+) -> Profile:
+    """The profile likelihood of a parameter; see `FitResult.with_profile`."""
     own = parameters(result.model)
     if name not in result.names or name not in own:
         raise TargetError(
@@ -39,11 +41,17 @@ def with_profile(
     tell = progress or (lambda text: None)
     low, high = _range(result, name)
     values = np.linspace(low, high, points)
-    # Ribs that do not show would follow the noise, differently at every point.
-    hidden = [n for n in RIBS if n in result.names and n != name and not result.identifiable[n]]
-    start = result.model
-    if "rib_amplitude" in hidden:
-        start = dataclasses.replace(start, rib_amplitude=0.0)
+    # Waves that do not show would follow the noise, differently at every point.
+    waves, start = result.model.oscillation, result.model
+    hidden = (
+        []
+        if waves is None
+        else [
+            n for n in waves.names if n in result.names and n != name and not result.identifiable[n]
+        ]
+    )
+    if waves is not None and waves.amplitude in hidden:
+        start = with_values(start, {waves.amplitude: 0.0})
     rest = tuple(n for n in result.names if n in own and n != name and n not in hidden)
     if not rest:
         raise TargetError(f"{name} is the only free parameter; its interval says all there is.")
@@ -56,26 +64,24 @@ def with_profile(
         for k in (*side, *side[-2::-1]):
             tell(f"profile of {name}: {values[k]:.4g}")
             model = with_value(model, name, float(values[k]))
-            ends = run(
-                model,
-                rest,
-                [part.target for part in result.agreements],
-                noise=None,
+            request = Request(
+                template=model,
+                free=rest,
+                targets=tuple(part.target for part in result.agreements),
                 from_template=True,
-                seed=0,
-                progress=lambda text: None,
-                placed=result.values,
-                glance_only=True,
-            ).ends
+                placed=result.values if result.in_image else {},
+                ends_only=True,
+            )
+            with reporting_to(None):
+                _, ends = run(family_of(model), request)
             model, found[k] = bare(ends[0].model), min(found[k], _cost(ends[0]))
     cost = found - np.min(found)
     values, cost = _adjusted(result, name, values, cost)
-    profile = Profile(tuple(values.tolist()), tuple(cost.tolist()))
-    return dataclasses.replace(result, profiles=result.profiles | {name: profile})
+    return Profile(tuple(values.tolist()), tuple(cost.tolist()))
 
 
 def _adjusted(
-    result: FitResult, name: str, values: np.ndarray, cost: np.ndarray
+    result: FitRecord, name: str, values: np.ndarray, cost: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """The profile around the fitted value, which has its bias removed, and in true units.
 
@@ -93,13 +99,13 @@ def _adjusted(
     return values + 0.5 * slope / curvature, cost / (curvature * error**2)
 
 
-def _cost(end: Settled) -> float:
+def _cost(end: Iterate) -> float:
     """χ²; of contours as smooth as can be had, from the contour's side and without the farthest places.
 
     These jump from one part of the outline to another.
     """
     total = 0.0
-    for seen in end.seen:
+    for seen in end.residuals:
         if seen.unit == "length":
             total += seen.chi2
             continue
@@ -110,7 +116,7 @@ def _cost(end: Settled) -> float:
     return total
 
 
-def _range(result: FitResult, name: str) -> tuple[float, float]:
+def _range(result: FitRecord, name: str) -> tuple[float, float]:
     """Some standard errors to either side, or the typical range of what is not determined."""
     declared = parameters(result.model)[name]
     value, reach = result.values[name], _REACH * result.stderr[name]

@@ -1,4 +1,4 @@
-"""From where the starts ended to a result: values, errors, and words for what they do not say."""
+"""From the ends of a fit to its result: values and errors, a status, and warnings."""
 
 from __future__ import annotations
 
@@ -9,107 +9,65 @@ from collections.abc import Sequence
 import numpy as np
 
 from petalfit.components import Parameter, Posed, bare, parameters
-from petalfit.fitting.determined import combinations, covariance
-from petalfit.fitting.estimate import Start, rivals, standard_errors
-from petalfit.fitting.kernels import spread_of
-from petalfit.fitting.result import Agreement, FitResult
-from petalfit.fitting.rounds import Settled
-from petalfit.observations import PointCloud, Silhouette
-from petalfit.surfaces import AbstractSurface, Pose, is_of_revolution, value_at, with_value
-
-# Distances of more than this fraction of a target's size are no noise.
-_MISFIT = 0.02
-# And of less, if the model had to be bent to the bounds of its parameters.
-_STRAINED_MISFIT = 0.005
-_GROSS = 6.0  # in units of the noise
-_EMPTY = 0.1
-_ROUNDING = 1e-6  # of a target's size: less is no distance
-_MOSTLY_STRAYS = 0.6  # of the points
-# Where foot points jump between two folds, a fit may flip for ever between two states that are nearly
-# the same: up to this many standard errors apart, that is a warning and no failure.
-_SETTLED = 0.5
+from petalfit.fitting.families.family import AbstractFamily
+from petalfit.fitting.inference import verdict
+from petalfit.fitting.inference.identifiability import combinations, covariance
+from petalfit.fitting.request.request import Request
+from petalfit.fitting.result import FitResult
+from petalfit.fitting.solver.iterate import Iterate
+from petalfit.observations import AbstractObservation
+from petalfit.results import Agreement, FitWarning, Start, WarningKind, standard_errors
+from petalfit.surfaces import AbstractSurface, Pose, value_at, with_value
 
 
-def summarise(
-    template: AbstractSurface,
-    names: tuple[str, ...],
-    targets: Sequence[PointCloud | Silhouette],
-    ends: list[Settled],
-    noise: float | None,
-) -> FitResult:
+def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> FitResult:
     """The result of a fit.
 
     Args:
-        template: Values for the case that the best end is not finite.
-        names: The free parameters.
-        targets: In the order of the ends' observations.
-        ends: What each start reached, the best first.
-        noise: Of the clouds, if it was given.
+        family: The family of the model.
+        request: What was asked for, with the names and the pose that were fitted. Its template has the
+            values for the case that the best end is not finite.
+        ends: The end of each start, the best first, with residuals in the order of the targets.
     """
-    best = ends[0]
-    declared = parameters(template)
-    if isinstance(template, Posed):
-        held = set(Posed.similarity) - set(names)
-        declared = {name: p for name, p in declared.items() if name not in held}
-    agreements = [
-        Agreement(
-            target,
-            part.distance,
-            np.asarray(part.weights, float),
-            part.noise,
-            None if part.uv is None or part.unit == "px" else np.asarray(part.uv, float),
-        )
-        for target, part in zip(targets, best.seen, strict=True)
-    ]
+    best, template = ends[0], request.template
+    names = request.free if family.named_errors else ()
+    declared = _declared(best.model if family.named_errors else bare(template), names)
+    agreements = _agreements(request.targets, best)
     finite = bool(
         all(np.isfinite(float(value_at(best.model, name))) for name in declared)
-        and np.isfinite(best.information).all()
+        and best.is_finite
         and all(np.isfinite(part.distances).all() for part in agreements)
     )
-    source = best.model if finite else template
+    source = best.model if finite or isinstance(best.model, Posed) else template
     values = {name: float(value_at(source, name)) for name in declared}
+    matrix, found = np.full((len(names), len(names)), np.inf), np.zeros(len(names), bool)
     if finite:
         matrix, found = covariance(ends, names, declared)
-    else:
-        matrix, found = np.full((len(names), len(names)), np.inf), np.zeros(len(names), bool)
     identifiable = dict(zip(names, map(bool, found), strict=True))
-    bounds = at_bounds(values, names, declared)
+    bounds = verdict.at_bounds(values, names, declared)
+    in_image = isinstance(source, Posed) and request.pose == "known"
+    in_space = isinstance(source, Posed) and not in_image
     # In a pose of its own a model need not be bent to reach its target.
-    in_space = isinstance(source, Posed) and "turn_x" in names
-    strained = not in_space and any(identifiable[name] for name in bounds)
-    misfits = [_misfit(part, strained, noise, in_space) for part in agreements]
-    settled = finite and bool(best.moved <= _SETTLED)
-    if not finite:
-        status, message = "not_finite", "the solver met values that are not finite"
-    elif any(misfits):
-        status, message = "misfit", next(filter(None, misfits))
-    elif settled:
-        status, message = "converged", f"converged after {best.rounds} rounds"
-    else:
-        status = "round_limit"
-        message = (
-            f"not converged after {best.rounds} rounds: parameters still move by "
-            f"{best.moved:.2g} standard errors"
-        )
-    stray = [words for part in agreements for words in strays(part)]
+    strained = not in_space and any(identifiable[n] for w in bounds for n in w.parameters)
+    misfits = [verdict.misfit_of(part, strained, request.noise, in_space) for part in agreements]
+    if not family.named_errors:
+        misfits = []
+    status, reason = verdict.ending(best, finite, misfits, family.outcome(best))
     if isinstance(best.model, Posed) and in_space:
         # Whatever frame a start was followed in.
-        others = [_seen_from(end, best.model) for end in ends[1:]]
-        ends = [best, *others]
-    starts = _starts(ends, names)
-    flips = settled and best.moved > 0.05
+        ends = [best, *(_seen_from(end, best.model) for end in ends[1:])]
+    starts = _starts(ends, names) if names else ()
     warnings = [
-        *([f"parameters flip by {best.moved:.2g} standard errors"] if flips else []),
-        *bounds.values(),
-        *(f"{name} is not determined by this target" for name in names if not identifiable[name]),
-        *(combinations(best, names, declared, found) if finite else []),
-        *_rivals(starts, standard_errors(names, matrix), declared),
-        *(w for part, seen in zip(agreements, best.seen, strict=True)
-          for w in _about(part, seen.uv, bare(best.model), noise)),
-        *(systematic(agreements[0], bare(best.model)) if finite else []),
-    ]  # fmt: skip
-    pose, freedom = Pose.identity(), float(len(names))
-    pose_stderr = {}
+        *(verdict.flips(best) if finite else []),
+        *bounds,
+        *verdict.not_determined(identifiable),
+        *(combinations(best, names, declared, found) if finite and names else []),
+        *verdict.rival_starts(starts, standard_errors(names, matrix), declared),
+        *(w for part in agreements for w in _about(part, bare(best.model), request.noise)),
+        *(verdict.systematic(agreements[0], bare(best.model)) if finite else []),
+    ]
+    pose, pose_stderr = Pose.identity(), {}
+    freedom = float(len(names)) if best.freedom is None else best.freedom
     if isinstance(source, Posed) and in_space:
         pose = source.placement
         errors = standard_errors(names, matrix)
@@ -122,12 +80,8 @@ def summarise(
         identifiable = {name: identifiable[name] for name in names}
     elif isinstance(source, Posed):
         pose = source.placement
-        warnings.append(
-            "without a camera lengths are relative: one unit of the model is "
-            f"{pose.scale:.4g} pixels"
-        )
+        warnings.append(_relative(pose))
         values, matrix = _in_pixels(source, names, values, matrix)
-    stderr = standard_errors(names, matrix)
     model = bare(source)
     for name in parameters(model):
         model = with_value(model, name, values[name])
@@ -136,57 +90,84 @@ def summarise(
         pose=pose,
         pose_stderr=pose_stderr,
         values=values,
-        stderr=stderr,
+        stderr=standard_errors(names, matrix),
         identifiable=identifiable,
         names=names,
         covariance=matrix,
-        agreements=tuple(agreements),
+        agreements=agreements,
         freedom=freedom,
-        converged=status == "converged",
         status=status,
-        message="; ".join([message, *stray, *warnings, *_symmetries(model)]),
+        reason=reason,
+        notes=(
+            *(words for part in agreements for words in verdict.outliers(part)),
+            *verdict.symmetries(model),
+        ),
         warnings=tuple(warnings),
         steps=best.rounds,
         starts=starts,
+        in_image=in_image,
     )
 
 
-def _seen_from(end: Settled, posed: Posed) -> Settled:
+def _declared(model: AbstractSurface, names: Sequence[str]) -> dict[str, Parameter]:
+    """Parameters that have a value: the component's, and what is free of a pose around it."""
+    declared = parameters(model)
+    if isinstance(model, Posed):
+        held = set(Posed.similarity) - set(names)
+        declared = {name: p for name, p in declared.items() if name not in held}
+    return declared
+
+
+def _agreements(targets: Sequence[AbstractObservation], best: Iterate) -> tuple[Agreement, ...]:
+    return tuple(
+        Agreement(
+            target,
+            part.distance,
+            np.asarray(part.weights, float),
+            part.noise,
+            None if part.uv is None else np.asarray(part.uv, float),
+        )
+        for target, part in zip(targets, best.residuals, strict=True)
+    )
+
+
+def _about(part: Agreement, model: AbstractSurface, noise: float | None) -> list[FitWarning]:
+    """Warnings on one target."""
+    found = verdict.about_distances(part, noise)
+    if part.uv is not None:
+        found += verdict.coverage(model, part.uv, part.used)
+    return found
+
+
+def _seen_from(end: Iterate, posed: Posed) -> Iterate:
     """An end with its pose in the frame of another."""
     assert isinstance(end.model, Posed)
     return dataclasses.replace(end, model=end.model.seen_from(posed))
 
 
 def _pose_unit(name: str, posed: Posed) -> float:
-    """What the pose's own unit of a parameter is in the result's."""
+    """The pose's own unit of a parameter, in the result's."""
     return 1.0 if name.startswith("turn") else float(posed.unit)
 
 
-def _symmetries(model: AbstractSurface) -> list[str]:
-    """What no target can tell of this surface, and no parameter says."""
-    if not is_of_revolution(model):
-        return []
-    return ["it is a surface of revolution: no target tells how it is turned about its y axis"]
-
-
-def _starts(ends: list[Settled], names: tuple[str, ...]) -> tuple[Start, ...]:
+def _starts(ends: list[Iterate], names: tuple[str, ...]) -> tuple[Start, ...]:
     return tuple(
         Start(
             end.label,
             {name: float(value_at(end.model, name)) for name in names},
-            math.sqrt(np.average(end.seen[0].distance ** 2, weights=end.seen[0].weights)),
+            math.sqrt(np.average(end.residuals[0].distance ** 2, weights=end.residuals[0].weights)),
             end.chi2 - ends[0].chi2,
         )
         for end in ends
     )
 
 
-def _rivals(
-    starts: tuple[Start, ...], stderr: dict[str, float], declared: dict[str, Parameter]
-) -> list[str]:
-    """A warning that names the rivals, if there are any."""
-    found = [f"{s.label} (Δχ² {s.delta_chi2:.1f})" for s in rivals(starts, stderr, declared)]
-    return [f"almost as good: {', '.join(found)}"] if found else []
+def _relative(pose: Pose) -> FitWarning:
+    text = (
+        "without a camera lengths are relative: one unit of the model is "
+        f"{float(pose.scale):.4g} pixels"
+    )
+    return FitWarning(text, WarningKind.RELATIVE_LENGTHS)
 
 
 def _in_pixels(
@@ -199,106 +180,3 @@ def _in_pixels(
     right, down, _ = map(float, placed.translation)
     pixels = {"scale": float(placed.scale), "shift_x": right, "shift_y": down}
     return values | pixels, matrix * np.outer(factors, factors)
-
-
-def _size(target: PointCloud | Silhouette) -> float:
-    """Of a cloud the diagonal of its box, of a silhouette that of its mask's, in pixels."""
-    if isinstance(target, PointCloud):
-        return target.diagonal
-    rows, columns = np.nonzero(target.mask >= 0.5)
-    return math.hypot(np.ptp(rows), np.ptp(columns))
-
-
-def _misfit(part: Agreement, strained: bool, noise: float | None, in_space: bool) -> str:
-    """Why the surface does not follow a target; empty if it does."""
-    size = _size(part.target)
-    if isinstance(part.target, PointCloud):
-        far = part.strays / len(part.weights)
-        if far > _MOSTLY_STRAYS:
-            return f"no petal of this model fits: it is far from {100 * far:.0f} % of the points"
-    tolerable = (_STRAINED_MISFIT if strained else _MISFIT) * size
-    rms = part.rms
-    if isinstance(part.target, Silhouette):
-        # A few places are matched across a fold, far away.
-        rms = spread_of(part.distances[part.weights > 0])
-        frame = "its camera is not where it is said to be, or it has another shape"
-        tolerable = max(0.5 * tolerable, 1.0)
-    else:
-        frame = (
-            "either it is not in the model's frame and unit (pose='known'), or it has another shape"
-        )
-        if in_space:
-            frame = "it has another shape, or is in another unit"
-        tolerable = max(tolerable, 1.5 * (noise or 0.0))
-    if rms <= tolerable:
-        return ""
-    return (
-        f"no petal of this model fits: distances are {100 * rms / size:.1f} % of the target's "
-        f"diagonal; {frame}"
-    )
-
-
-def at_bounds(
-    values: dict[str, float], names: tuple[str, ...], declared: dict[str, Parameter]
-) -> dict[str, str]:
-    """Parameters at a bound, each with its warning."""
-    found = {}
-    for name in names:
-        low, high = declared[name].bounds
-        if min(values[name] - low, high - values[name]) < 0.005 * (high - low):
-            found[name] = f"{name} ended at the bound of its range ({low:g}, {high:g})"
-    return found
-
-
-def _about(
-    part: Agreement, uv: np.ndarray | None, model: AbstractSurface, noise: float | None
-) -> list[str]:
-    """Warnings on one target."""
-    if isinstance(part.target, Silhouette):
-        return []
-    found = _distance_warnings(part, part.target, noise)
-    return found + (_coverage_warnings(model, uv, part.used) if uv is not None else [])
-
-
-def strays(part: Agreement) -> list[str]:
-    """How many points the fit takes for strays, if there are any."""
-    count = part.strays
-    return [f"{count} of {len(part.weights)} points are taken for strays"] if count else []
-
-
-def _distance_warnings(part: Agreement, cloud: PointCloud, noise: float | None) -> list[str]:
-    used = np.abs(part.distances[part.used])
-    typical = spread_of(used)
-    found = []
-    if noise is not None and part.rms > 1.5 * noise:
-        found.append(f"distances are {part.rms / noise:.1f} times the given noise")
-    gross = int(np.count_nonzero(used > _GROSS * max(typical, 1e-12 * cloud.diagonal)))
-    if gross:
-        found.append(
-            f"{gross} points lie beyond {_GROSS:g} times the typical distance: if they are strays, "
-            "use loss='robust'"
-        )
-    return found
-
-
-def systematic(part: Agreement, model: AbstractSurface) -> list[str]:
-    """A warning if distances have a pattern on the surface."""
-    found = part.misfit(model.domain)
-    if found is None or part.rms < _ROUNDING * _size(part.target):
-        return []
-    return found.words()
-
-
-def _coverage_warnings(model: AbstractSurface, uv: np.ndarray, members: np.ndarray) -> list[str]:
-    """A part of the surface without data, seen in 4 × 4 parts of the domain."""
-    (u_low, u_high), (v_low, v_high) = model.domain
-    used = np.flatnonzero(members)
-    # Where the surface goes on, so do foot points.
-    low, high = np.array(model.domain).T
-    around = low + (uv[used] - low) % (high - low)
-    u, v = np.where(model.edges, uv[used], around).T
-    counts, *_ = np.histogram2d(u, v, bins=4, range=[[u_low, u_high], [v_low, v_high]])
-    empty = np.count_nonzero(counts == 0) / counts.size
-    if empty <= _EMPTY or len(used) < 8 * counts.size:
-        return []
-    return [f"{100 * empty:.0f} % of the surface has no data; there it is extrapolated"]

@@ -6,6 +6,8 @@ from petalfit.observations.contour import trace as trace
 from petalfit.observations.errors import TargetError as TargetError
 from petalfit.observations.files import read_target as read_target
 from petalfit.observations.images import IMAGE_SUFFIXES as IMAGE_SUFFIXES
+from petalfit.observations.observation import AbstractObservation as AbstractObservation
+from petalfit.observations.observation import observation_from_json as observation_from_json
 from petalfit.observations.point_cloud import PointCloud as PointCloud
 from petalfit.observations.point_cloud import as_point_cloud as as_point_cloud
 from petalfit.observations.readers import SUFFIXES as SUFFIXES

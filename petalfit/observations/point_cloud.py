@@ -5,13 +5,14 @@ import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 
 from petalfit.observations.columns import Columns
 from petalfit.observations.errors import TargetError
+from petalfit.observations.observation import AbstractObservation
 from petalfit.observations.readers import read_columns
 from petalfit.observations.triangles import (
     DEFAULT_SAMPLES,
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
-class PointCloud:
+class PointCloud(AbstractObservation):
     """Points, perhaps with normals, weights and colours.
 
     The arrays are checked, copied to float64 and made read-only. Two clouds are equal only if
@@ -50,6 +51,8 @@ class PointCloud:
         TargetError: the arrays cannot be used; the message says why and what to do.
     """
 
+    kind: ClassVar[str] = "cloud"
+    unit: ClassVar[str] = "length"
     points: Float64[np.ndarray, "n 3"]
     normals: Float64[np.ndarray, "n 3"] | None
     weights: Float64[np.ndarray, " n"] | None
@@ -100,6 +103,51 @@ class PointCloud:
     def diagonal(self) -> float:
         """The diagonal of the axis-aligned bounding box."""
         return math.hypot(*self.extent)
+
+    @property
+    def size(self) -> float:
+        return self.diagonal
+
+    @property
+    def described(self) -> str:
+        return f"{len(self):,} point{'s' * (len(self) != 1)}"
+
+    @property
+    def mass(self) -> Float64[np.ndarray, " n"]:
+        """How many observations each point counts for: its weight, or 1; (N,)."""
+        return np.ones(len(self)) if self.weights is None else self.weights
+
+    def used(self, weights: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+        """Which points count: those that have a weight, and kept at least half of it in the fit."""
+        return (weights > 0) & (weights >= 0.5 * self.mass)
+
+    def outliers(self, weights: Float64[np.ndarray, " n"]) -> int:
+        return int(np.count_nonzero(self.mass) - np.count_nonzero(self.used(weights)))
+
+    def each_once(self) -> "PointCloud":
+        """The cloud in which points that repeat others have the weight 0."""
+        _, first = np.unique(self.points, axis=0, return_index=True)
+        if len(first) == len(self):
+            return self
+        once = np.zeros(len(self))
+        once[first] = 1.0
+        return self.weighted(once)
+
+    def weighted(self, factor: Float64[np.ndarray, " n"]) -> "PointCloud":
+        """The cloud with its weights multiplied by a factor for each point."""
+        return PointCloud(self.points, self.normals, self.mass * factor, self.colours)
+
+    def arrays(self) -> tuple[dict[str, Any], list[Float64[np.ndarray, "..."] | None]]:
+        return {"camera": None}, [self.points, self.weights]
+
+    def to_json(self) -> dict[str, Any]:
+        parts = ("points", "normals", "weights", "colours")
+        return {"kind": self.kind} | {name: getattr(self, name) for name in parts}
+
+    @classmethod
+    def from_json(cls, content: dict[str, Any]) -> "PointCloud":
+        parts = ("points", "normals", "weights", "colours")
+        return cls(**{name: content[name] for name in parts})
 
     @classmethod
     def load(

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import base64
+import math
 import os
+import zlib
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float64
 
+from petalfit.observations.atomic import atomic_path
 from petalfit.observations.camera import Camera
 from petalfit.observations.errors import TargetError
 from petalfit.observations.images import opened_image
+from petalfit.observations.observation import AbstractObservation
 from petalfit.observations.validation import ArrayLike
 
 # Fewer covered pixels show no shape.
@@ -20,7 +26,7 @@ _ANOTHER = 0.1
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
-class Silhouette:
+class Silhouette(AbstractObservation):
     """A mask of a petal, perhaps with the camera that saw it.
 
     The arrays are checked, copied to float64 and made read-only.
@@ -36,6 +42,8 @@ class Silhouette:
         TargetError: The mask cannot be used; the message says why and what to do.
     """
 
+    kind: ClassVar[str] = "mask"
+    unit: ClassVar[str] = "px"
     mask: Float64[np.ndarray, "h w"]
     camera: Camera | None
     weights: Float64[np.ndarray, "h w"] | None
@@ -82,6 +90,44 @@ class Silhouette:
         """The covered area, in pixels."""
         return float(self.mask.sum())
 
+    @property
+    def extent(self) -> Float64[np.ndarray, "2"]:
+        """Width and height of the image, in pixels; (2,)."""
+        return np.array(self.mask.shape[::-1], np.float64)
+
+    @property
+    def size(self) -> float:
+        rows, columns = np.nonzero(self.mask >= 0.5)
+        return math.hypot(np.ptp(rows), np.ptp(columns))
+
+    @property
+    def described(self) -> str:
+        rows, columns = self.mask.shape
+        return f"a mask of {columns} × {rows} pixels"
+
+    def arrays(self) -> tuple[dict[str, Any], list[Float64[np.ndarray, "..."] | None]]:
+        camera = None if self.camera is None else self.camera.to_json()
+        return {"camera": camera}, [self.mask, self.weights]
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "kind": self.kind,
+            "shape": list(self.mask.shape),
+            "mask": _packed(self.mask),
+            "weights": None if self.weights is None else _packed(self.weights),
+            "camera": None if self.camera is None else self.camera.to_json(),
+        }
+
+    @classmethod
+    def from_json(cls, content: dict[str, Any]) -> Silhouette:
+        shape = tuple(content["shape"])
+        weights, camera = content["weights"], content["camera"]
+        return cls(
+            _unpacked(content["mask"], shape),
+            None if camera is None else Camera.from_json(camera),
+            None if weights is None else _unpacked(weights, shape),
+        )
+
     @classmethod
     def load(cls, path: str | os.PathLike[str], camera: Camera | None = None) -> Silhouette:
         """Reads an image: its alpha channel if it has one, or else its grey values.
@@ -98,8 +144,6 @@ class Silhouette:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes a grey PNG of 8 bits, black where nothing is; whole or not at all."""
         from PIL import Image
-
-        from petalfit.observations.atomic import atomic_path
 
         image = Image.fromarray(np.rint(255 * self.mask).astype(np.uint8))
         with atomic_path(path) as temporary:
@@ -181,3 +225,20 @@ def _has_many_greys(array: np.ndarray) -> bool:
     top = 65535 if array.max(initial=0) > 255 else 255
     between = (array > 0.1 * top) & (array < 0.9 * top)
     return bool(between.mean() > 0.25)
+
+
+def _packed(array: np.ndarray) -> str:
+    """As bytes where multiples of 1/255 lose nothing, as doubles otherwise; deflated, in base 64."""
+    eight = np.rint(255 * array)
+    exact = bool(((eight / 255) == array).all() and (eight <= 255).all())
+    content = eight.astype(np.uint8) if exact else array.astype("<f8")
+    data = base64.b64encode(zlib.compress(content.tobytes(), 6)).decode("ascii")
+    return f"{'u1' if exact else 'f8'}:{data}"
+
+
+def _unpacked(text: str, shape: tuple[int, ...]) -> np.ndarray:
+    kind, _, data = text.partition(":")
+    content = zlib.decompress(base64.b64decode(data))
+    if kind == "u1":
+        return np.frombuffer(content, np.uint8).reshape(shape) / 255
+    return np.frombuffer(content, "<f8").reshape(shape).astype(np.float64)

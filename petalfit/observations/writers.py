@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
@@ -106,7 +107,8 @@ def _write_npy(cloud: Columns, path: Path) -> None:
 
 
 def _write_npz(cloud: Columns, path: Path) -> None:
-    present = {name: array for name, array in cloud.items() if array is not None}
+    arrays: dict[str, Any] = {**cloud}
+    present = {name: array for name, array in arrays.items() if array is not None}
     with path.open("wb") as file:
         np.savez_compressed(file, **present)
 

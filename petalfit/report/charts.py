@@ -9,12 +9,12 @@ import math
 import numpy as np
 from jaxtyping import Float
 
-from petalfit.fitting.result import Profile
 from petalfit.report.colour import IGNORED, MASK, NEGATIVE, POSITIVE, ZERO, css, diverging
 from petalfit.report.overlay import Overlay
 from petalfit.report.raster import png
 from petalfit.report.rounding import fixed, plain, round_up, ticks
 from petalfit.report.scene import Picture, Scene
+from petalfit.results import Profile
 
 _LIMIT = 3.84  # χ² of one degree of freedom, 95 %
 DENSITY = 2  # pixels of a picture per pixel of the page

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import cast
 
 import numpy as np
 from jaxtyping import Float
 
-from petalfit.fitting.result import Agreement, FitResult
 from petalfit.observations import Contour, Silhouette
+from petalfit.results import Agreement, FitRecord
 from petalfit.surfaces import rings
 
 _RESOLUTION = (193, 129)
@@ -36,10 +37,9 @@ class Overlay:
     used: np.ndarray
 
     @classmethod
-    def of(cls, result: FitResult, part: Agreement) -> Overlay:
+    def of(cls, result: FitRecord, part: Agreement) -> Overlay:
         """The overlay of a silhouette that was fitted."""
-        silhouette = part.target
-        assert isinstance(silhouette, Silhouette)
+        silhouette = cast(Silhouette, part.target)
         contour = Contour.of(silhouette)
         vertices = np.asarray(result.mesh(_RESOLUTION).vertices).reshape(*_RESOLUTION, 3)
         outline = rings(contour.camera.project(vertices))

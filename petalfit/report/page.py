@@ -4,27 +4,16 @@ from __future__ import annotations
 
 import html
 import importlib.resources
-import math
 import os
 from collections.abc import Iterator
 
-import numpy as np
-
-from petalfit.fitting.result import Agreement, FitResult
-from petalfit.observations import PointCloud, Silhouette
 from petalfit.observations.atomic import atomic_path
-from petalfit.report.charts import (
-    histogram_chart,
-    map_chart,
-    overlay_chart,
-    profile_chart,
-    view_chart,
-)
+from petalfit.report.charts import profile_chart, view_chart
 from petalfit.report.colour import POINT, css
-from petalfit.report.overlay import Overlay
-from petalfit.report.provenance import named, provenance
-from petalfit.report.rounding import count, listed, plain
-from petalfit.report.scene import BASE, OBLIQUE, SIDE, Scene, distance_limit, draw_map, draw_view
+from petalfit.report.provenance import provenance
+from petalfit.report.rounding import count, listed, plain, share
+from petalfit.report.scene import BASE, OBLIQUE, SIDE, Scene, draw_view
+from petalfit.report.shown import in_scene, shown
 from petalfit.report.swatch import ignored, swatch
 from petalfit.report.tables import (
     correlation_table,
@@ -34,13 +23,14 @@ from petalfit.report.tables import (
     starts_table,
 )
 from petalfit.report.viewer import fingerprint, script, viewer
+from petalfit.results import FitRecord, one_of_each
 from petalfit.version import VERSION
 
 # Pixels, of which a page's pixel has two.
-_WIDE, _NARROW, _MAP = 960, 880, 680
+_WIDE, _NARROW = 960, 880
 
 
-def write_report(result: FitResult, path: str | os.PathLike[str]) -> None:
+def write_report(result: FitRecord, path: str | os.PathLike[str]) -> None:
     """Write a fit as one HTML page: table, 3-D view, distances, starts, correlations, provenance.
 
     The page needs no network and no other file, suits light and dark screens, phones and paper, and
@@ -59,7 +49,7 @@ def write_report(result: FitResult, path: str | os.PathLike[str]) -> None:
         temporary.write_text(page, encoding="utf-8", newline="\n")
 
 
-def _page(result: FitResult) -> str:
+def _page(result: FitRecord) -> str:
     kind = html.escape(type(result.model).__name__)
     style = importlib.resources.files("petalfit.report").joinpath("page.css").read_text("utf-8")
     body = [
@@ -96,7 +86,7 @@ def _policy(program: str) -> str:
     return f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src {scripts}"
 
 
-def _status(result: FitResult) -> tuple[str, str]:
+def _status(result: FitRecord) -> tuple[str, str]:
     """The style and the words of the one mark that everybody reads."""
     if not result.converged:
         return "bad", "not converged"
@@ -105,7 +95,7 @@ def _status(result: FitResult) -> tuple[str, str]:
     return "good", "converged"
 
 
-def _head(result: FitResult) -> str:
+def _head(result: FitRecord) -> str:
     kind = html.escape(type(result.model).__name__)
     style, words = _status(result)
     ended = (
@@ -113,18 +103,18 @@ def _head(result: FitResult) -> str:
         if result.converged
         else "<strong>The fit did not converge; the numbers below are where it stopped.</strong>"
     )
-    parts = [_described(part) for part in result.agreements]
+    parts = result.agreements
     known = sum(result.identifiable.values())
     facts = {}
-    for (_, part_facts), name in zip(parts, _short_names(result), strict=True):
+    for part, name in zip(parts, _short_names(result), strict=True):
         suffix = f", {name}" if len(parts) > 1 else ""
-        facts |= {f"{key}{suffix}": value for key, value in part_facts.items()}
+        facts |= {f"{key}{suffix}": value for key, value in shown(part).facts(part).items()}
     if result.names:
         facts["determined parameters"] = f"{known} <small>of {len(result.names)} free</small>"
     else:
         facts["effective parameters"] = f"{plain(result.freedom)} <small>none has a name</small>"
-    what = listed([named(part) for part in result.agreements])
-    lead = " ".join(sentence for sentence, _ in parts)
+    what = listed([shown(part).named(part) for part in parts])
+    lead = " ".join(shown(part).sentence(part) for part in parts)
     return (
         f'<p class="eyebrow">petalfit · fit report</p>\n<h1>{kind} fitted to '
         f'{what} <span class="status {style}">{words}</span></h1>\n'
@@ -135,60 +125,22 @@ def _head(result: FitResult) -> str:
     )
 
 
-def _short_names(result: FitResult) -> list[str]:
+def _short_names(result: FitRecord) -> list[str]:
     """Of every target: cloud, or mask 1 and mask 2 if there are several."""
-    kinds = [
-        "mask" if isinstance(part.target, Silhouette) else "cloud" for part in result.agreements
-    ]
+    kinds = [part.target.kind for part in result.agreements]
     return [
         kind if kinds.count(kind) == 1 else f"{kind} {kinds[: i + 1].count(kind)}"
         for i, kind in enumerate(kinds)
     ]
 
 
-def _described(part: Agreement) -> tuple[str, dict[str, str]]:
-    """A sentence on one target and the fit, and the same as facts."""
-    of_noise = part.rms / part.noise if part.noise > 0 else math.nan
-    times = f", {of_noise:.2f} σ" if math.isfinite(of_noise) and of_noise < 1e4 else ""
-    if isinstance(part.target, Silhouette):
-        rows, columns = part.target.mask.shape
-        sentence = (
-            f"The mask's contour lies {plain(part.rms)} pixels (rms{times}) from the fitted outline, "
-            f"with noise σ = {plain(part.noise)} pixels."
-        )
-        return sentence, {
-            "pixels": f"{columns} × {rows}",
-            "covered": f"{round(part.target.area):,}",
-            "rms distance": f"{plain(part.rms)} px",
-            "noise σ": f"{plain(part.noise)} px",
-        }
-    used, strays = int(np.count_nonzero(part.used)), part.strays
-    without = len(part.target) - used - strays
-    more = [f"{without:,} more without weight"] if without else []
-    more += [f"{strays:,} more taken for strays"] if strays else []
-    ignored = f" ({', '.join(more)})" if more else ""
-    size = " × ".join(plain(side) for side in part.target.extent)
-    sentence = (
-        f"The points{ignored} lie {plain(part.rms)} (rms{times}) from the surface, with noise σ = "
-        f"{plain(part.noise)}, on a target {size} in size."
-    )
-    return sentence, {
-        "points": f"{used:,}",
-        "target size": f"{size}",
-        "rms distance": f"{plain(part.rms)}",
-        "noise σ": f"{plain(part.noise)}",
-    }
-
-
-def _warnings(result: FitResult) -> str:
+def _warnings(result: FitRecord) -> str:
     if result.converged and not result.warnings:
         return ""
     style = "" if result.converged else " bad"
-    items = list(_grouped(result))
+    items = [_grouped(what, names) for what, names in one_of_each(result.warnings)]
     if not result.converged:
-        # The message begins with the reason and repeats the warnings.
-        reason = result.message.removesuffix("; ".join(result.warnings)).rstrip("; ")
-        items.insert(0, html.escape(f"{result.status}: {reason}"))
+        items.insert(0, html.escape(f"{result.status}: {result.outcome}"))
     heading = "Before you use these numbers"
     listing = "".join(f"<li>{item}</li>" for item in items)
     return (
@@ -197,21 +149,13 @@ def _warnings(result: FitResult) -> str:
     )
 
 
-def _grouped(result: FitResult) -> Iterator[str]:
-    """Warnings on the whole first; those that say the same of several parameters as one."""
-    of_parameters: dict[str, list[str]] = {}
-    for warning in result.warnings:
-        name, _, rest = warning.partition(" ")
-        if name in result.values and rest:
-            of_parameters.setdefault(rest, []).append(name)
-        else:
-            yield html.escape(warning)
-    for rest, names in of_parameters.items():
-        codes = listed([f"<code>{html.escape(name)}</code>" for name in names])
-        yield f"{'each of ' if len(names) > 1 else ''}{codes} {html.escape(rest)}"
+def _grouped(what: str, names: list[str]) -> str:
+    """What is said of several parameters, as one sentence."""
+    codes = listed([f"<code>{html.escape(name)}</code>" for name in names])
+    return f"{'each of ' if len(names) > 1 else ''}{codes} {html.escape(what)}".lstrip()
 
 
-def _table_notes(result: FitResult) -> str:
+def _table_notes(result: FitRecord) -> str:
     notes = [
         '<span class="of-strips">The line on the right is the parameter\'s typical range, with its '
         "value and interval.</span>"
@@ -235,8 +179,8 @@ def _table_notes(result: FitResult) -> str:
     return f'<p class="soft">{" ".join(notes)}</p>'
 
 
-def _pictures(result: FitResult) -> Iterator[str]:
-    clouds = [part for part in result.agreements if isinstance(part.target, PointCloud)]
+def _pictures(result: FitRecord) -> Iterator[str]:
+    clouds = in_scene(result)
     yield "<h2>Target and fit</h2>"
     parts = clouds or [None]
     scenes = [Scene.of(result, part) for part in parts]
@@ -245,11 +189,10 @@ def _pictures(result: FitResult) -> Iterator[str]:
         for scene, part in zip(scenes, parts, strict=True):
             yield _views(scene, len(part.distances) if part else 0)
         yield "<h2>Distances</h2>"
-        for scene, part in zip(scenes, clouds, strict=False):
-            yield _map(scene, part)
+        of_clouds = iter(scenes)
         for part in result.agreements:
-            if isinstance(part.target, Silhouette):
-                yield _contour(result, part)
+            shows = shown(part)
+            yield shows.distances(result, part, next(of_clouds) if shows.in_scene else None)
     else:
         yield "<p>There are no pictures: the fitted surface is not finite.</p>"
     if result.ranking:
@@ -263,7 +206,7 @@ def _views(scene: Scene, total: int) -> str:
     side, base = (draw_view(scene, view, _WIDE, (0.25, 0.7)) for view in (SIDE, BASE))
     dots = ""
     if total:
-        dots = f" and {_share(oblique.drawn, total)} as {swatch(css(POINT))} dots{ignored(scene)}"
+        dots = f" and {share(oblique.drawn, total)} as {swatch(css(POINT))} dots{ignored(scene)}"
     hidden = " Points behind the surface are hidden by it." if total else ""
     return (
         '<div class="views">'
@@ -276,45 +219,7 @@ def _views(scene: Scene, total: int) -> str:
     )
 
 
-def _map(scene: Scene, part: Agreement) -> str:
-    limit = distance_limit(part)
-    picture = draw_map(scene, limit, _MAP)
-    return (
-        f'<div class="pair"><figure>{map_chart(picture, scene, limit, part.noise)}<figcaption>'
-        f"The fitted outline and {_share(picture.drawn, len(part.distances))} from the front, "
-        "coloured by signed distance, positive on the side of the normal"
-        f"{ignored(scene)}. Noise alone shows no pattern here.</figcaption></figure>"
-        f"<div>{_histogram(part)}</div></div>"
-    )
-
-
-def _contour(result: FitResult, part: Agreement) -> str:
-    limit = distance_limit(part)
-    drawing = overlay_chart(Overlay.of(result, part), limit, part.noise)
-    return (
-        f'<div class="pair"><figure>{drawing}<figcaption>The mask, its contour coloured by signed '
-        "distance in pixels, positive where it lies outside of the fitted outline, and that outline "
-        "as a line.</figcaption></figure>"
-        f"<div>{_histogram(part)}</div></div>"
-    )
-
-
-def _histogram(part: Agreement) -> str:
-    usable = part.used & np.isfinite(part.distances)
-    if not (part.noise > 0 and math.isfinite(part.noise) and usable.any()):
-        return "<p>There is no histogram: the noise is not a positive number.</p>"
-    inside = part.distances[usable] / part.noise
-    drawing, beyond = histogram_chart(inside, part.weights[usable])
-    outside = f" {count(beyond, 'distance')} beyond the ends." if beyond else ""
-    unit = " pixels" if part.unit == "px" else ""
-    return (
-        f"<figure>{drawing}<figcaption>Distances in units of the noise σ = {plain(part.noise)}{unit} "
-        f"(bars), and the Gaussian that noise alone would give (line).{outside}</figcaption>"
-        "</figure>"
-    )
-
-
-def _profiles(result: FitResult) -> Iterator[str]:
+def _profiles(result: FitRecord) -> Iterator[str]:
     if not result.profiles:
         return
     yield "<h2>Profile likelihoods</h2>"
@@ -329,13 +234,7 @@ def _profiles(result: FitResult) -> Iterator[str]:
     yield f'<div class="pair">{"".join(drawings)}</div>'
 
 
-def _share(drawn: int, total: int) -> str:
-    if drawn == total:
-        return f"all {count(total, 'point')}" if total != 1 else "the only point"
-    return f"{drawn:,} of {count(total, 'point')}, chosen at random,"
-
-
-def _correlations(result: FitResult) -> str:
+def _correlations(result: FitRecord) -> str:
     if not result.names:
         return ""
     heat = correlation_table(result)

@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from petalfit.fitting.result import FitResult
-from petalfit.observations import PointCloud
 from petalfit.observations.atomic import atomic_path
 from petalfit.report.colour import NEGATIVE, POSITIVE, ZERO
 from petalfit.report.overlay import Overlay
@@ -23,6 +21,8 @@ from petalfit.report.scene import (
     draw_map,
     draw_view,
 )
+from petalfit.report.shown import in_scene
+from petalfit.results import FitRecord
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,7 +34,7 @@ _DPI = 160
 _WIDTH, _HEIGHT = 10.1, 4.6  # inches
 
 
-def write_picture(result: FitResult, path: str | os.PathLike[str]) -> None:
+def write_picture(result: FitRecord, path: str | os.PathLike[str]) -> None:
     """Write the target and the fit from three sides and the map of distances as one PNG.
 
     Its background is transparent, its text legible on light and dark. Whole or not at all.
@@ -53,11 +53,11 @@ def write_picture(result: FitResult, path: str | os.PathLike[str]) -> None:
         )
 
 
-def _figure(result: FitResult) -> Figure:
+def _figure(result: FitRecord) -> Figure:
     # Imported here: matplotlib takes a second, and a report does without it.
     from matplotlib.figure import Figure
 
-    clouds = [part for part in result.agreements if isinstance(part.target, PointCloud)]
+    clouds = in_scene(result)
     part = clouds[0] if clouds else result.agreements[0]
     scene = Scene.of(result, part if clouds else None)
     used = count(int(part.used.sum()), "point") if clouds else "mask"

@@ -8,38 +8,22 @@ import html
 import equinox as eqx
 import numpy as np
 
-from petalfit.fitting import result as results
-from petalfit.fitting.result import Agreement, FitResult
-from petalfit.observations import PointCloud
-from petalfit.report.rounding import count, listed
+from petalfit.report.rounding import listed
+from petalfit.report.shown import shown
+from petalfit.results import Agreement, FitRecord
+from petalfit.results.record import FORMAT, VERSION
 
 
-def named(part: Agreement) -> str:
-    """What was fitted, in words."""
-    if isinstance(part.target, PointCloud):
-        return count(int(np.count_nonzero(part.used)), "point")
-    rows, columns = part.target.mask.shape
-    return f"a mask of {columns} × {rows} pixels"
-
-
-def _whole(part: Agreement) -> str:
-    """What was given."""
-    total, used = part.distances.size, int(np.count_nonzero(part.used))
-    if not isinstance(part.target, PointCloud) or total == used:
-        return named(part)
-    return f"{count(total, 'point')} ({used:,} of them used)"
-
-
-def provenance(result: FitResult) -> str:
+def provenance(result: FitRecord) -> str:
     """The section of the page."""
     rows = {"made by": html.escape(result.made_by)}
     if result.command:
         rows["command"] = f"<code>{html.escape(result.command)}</code>"
     rows |= {
-        "input": listed([_whole(part) for part in result.agreements]),
+        "input": listed([shown(part).whole(part) for part in result.agreements]),
         "its SHA-256": f"<code>{result.input_hash}</code>",
         "model": html.escape(type(result.model).__name__),
-        "status": html.escape(result.status),
+        "status": html.escape(f"{result.status}: {result.status.meaning}"),
         "message": html.escape(result.message),
         "rms distance": ", ".join(f"{part.rms!r}{_unit(part)}" for part in result.agreements),
         "noise σ": ", ".join(f"{part.noise!r}{_unit(part)}" for part in result.agreements),
@@ -47,7 +31,7 @@ def provenance(result: FitResult) -> str:
     }
     if result.timings:
         rows["seconds"] = ", ".join(f"{name} {x:.2g}" for name, x in result.timings.items())
-    rows["file format"] = f"{results.FORMAT}, version {results.VERSION}"
+    rows["file format"] = f"{FORMAT}, version {VERSION}"
     terms = "\n".join(
         f"<div><dt>{html.escape(key)}</dt><dd>{value}</dd></div>" for key, value in rows.items()
     )
@@ -61,7 +45,7 @@ def _unit(part: Agreement) -> str:
     return " px" if part.unit == "px" else ""
 
 
-def _pose(result: FitResult) -> dict[str, str]:
+def _pose(result: FitRecord) -> dict[str, str]:
     pose = result.pose
     if pose.scale == 1.0 and not pose.translation.any() and (pose.rotation == np.eye(3)).all():
         return {"pose": "the target is in the model's frame"}

@@ -73,3 +73,10 @@ def round_up(length: float) -> float:
     """The next of 1, 2, 5, 10, … times a power of ten."""
     power = 10.0 ** math.floor(math.log10(length))
     return next(m * power for m in (1, 2, 5, 10) if m * power >= length * (1 - 1e-9))
+
+
+def share(drawn: int, total: int) -> str:
+    """How many of all points are shown, in words."""
+    if drawn == total:
+        return f"all {count(total, 'point')}" if total != 1 else "the only point"
+    return f"{drawn:,} of {count(total, 'point')}, chosen at random,"

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from petalfit.fitting.result import Agreement, FitResult
 from petalfit.observations import PointCloud
 from petalfit.report.colour import FRONT, IGNORED, POINT, REAR, diverging, shaded
 from petalfit.report.raster import Canvas
+from petalfit.results import Agreement, FitRecord
 
-# The resolution of `FitResult.mesh`, so that a process compiles one tessellation and no more.
+# The resolution of `FitRecord.mesh`, so that a process compiles one tessellation and no more.
 _RESOLUTION = (65, 65)
 # Of more points a random choice is drawn, the same at every time.
 _IN_MAP = 20_000
@@ -42,15 +42,15 @@ class Scene:
     used: Bool[np.ndarray, " m"]
 
     @classmethod
-    def of(cls, result: FitResult, part: Agreement | None = None) -> Scene:
+    def of(cls, result: FitRecord, part: Agreement | None = None) -> Scene:
         """The scene of a fit with one of its clouds, or with no points if there is none."""
         mesh = result.model.mesh(_RESOLUTION)
         pose = result.pose
         points, distances, used = np.empty((0, 3)), np.empty(0), np.empty(0, bool)
         if part is not None:
-            assert isinstance(part.target, PointCloud)
-            chosen = np.random.default_rng(0).permutation(len(part.target))[:_IN_MAP]
-            points = (part.target.points[chosen] - pose.translation) @ pose.rotation
+            cloud = cast(PointCloud, part.target)
+            chosen = np.random.default_rng(0).permutation(len(cloud))[:_IN_MAP]
+            points = (cloud.points[chosen] - pose.translation) @ pose.rotation
             distances, used = part.distances[chosen], part.used[chosen]
         return cls(
             float(pose.scale) * np.array(mesh.vertices).reshape(-1, *_RESOLUTION, 3),

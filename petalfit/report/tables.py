@@ -8,10 +8,9 @@ import math
 import numpy as np
 
 from petalfit.components import Parameter
-from petalfit.fitting.estimate import quantile
-from petalfit.fitting.result import FitResult
 from petalfit.report.charts import range_chart
 from petalfit.report.rounding import decimals_of, fixed, measured, plain
+from petalfit.results import FitRecord, WarningKind, quantile
 
 _UNITS = {"length": "length", "1": "–"}
 _MOST_STARTS = 12
@@ -20,7 +19,6 @@ _POSE = {
     "shift": ("length", "where the model's origin lies in the target's frame"),
     "turn": ("rad", "about the model's {axis} axis; the rotation is under Provenance"),
 }
-_NOT_DETERMINED = "is not determined by this target"
 
 
 def _symbol(parameter: Parameter) -> str:
@@ -30,7 +28,7 @@ def _symbol(parameter: Parameter) -> str:
     return f"<var>{html.escape(head)}{subscript}</var>"
 
 
-def parameter_table(result: FitResult, level: float = 0.95) -> str:
+def parameter_table(result: FitRecord, level: float = 0.95) -> str:
     """Every parameter of the model: its value ± error, interval, unit and meaning."""
     intervals = result.interval(level)
     rows = [
@@ -51,7 +49,7 @@ def _parameter_head(level: float, strip: str) -> str:
 
 
 def _parameter_row(
-    name: str, parameter: Parameter, result: FitResult, interval: tuple[float, float] | None
+    name: str, parameter: Parameter, result: FitRecord, interval: tuple[float, float] | None
 ) -> str:
     value, error = result.values[name], result.stderr.get(name, math.nan)
     known = result.identifiable.get(name, False)
@@ -67,9 +65,9 @@ def _parameter_row(
         shown = f'{_data(value, rounded)} <span class="error">± {rounded_error}</span>'
         reach = " to ".join(fixed(end, decimals) for end in interval)
     notes = [
-        f'<span class="note">{html.escape(warning.removeprefix(name).strip())}</span>'
+        f'<span class="note">{html.escape(warning.about)}</span>'
         for warning in result.warnings
-        if warning.startswith(f"{name} ") and not warning.endswith(_NOT_DETERMINED)
+        if warning.parameter == name and warning.kind is not WarningKind.NOT_DETERMINED
     ]
     unit = _UNITS.get(parameter.unit, parameter.unit)
     return (
@@ -81,7 +79,7 @@ def _parameter_row(
     )
 
 
-def pose_table(result: FitResult, level: float = 0.95) -> str | None:
+def pose_table(result: FitRecord, level: float = 0.95) -> str | None:
     """How surely a fitted pose is known; None if it was not fitted."""
     if not result.pose_stderr:
         return None
@@ -119,7 +117,7 @@ def _data(value: float, text: str) -> str:
     return f'<data value="{value!r}" title="{value!r}">{html.escape(text)}</data>'
 
 
-def starts_table(result: FitResult) -> str:
+def starts_table(result: FitRecord) -> str:
     """What each start reached, the best first."""
     shown = result.starts[:_MOST_STARTS]
     rows = [
@@ -137,7 +135,7 @@ def starts_table(result: FitResult) -> str:
     )
 
 
-def families_table(result: FitResult) -> str:
+def families_table(result: FitRecord) -> str:
     """What each family of petals reached, the best first."""
     rows = [
         f'<tr><td>{html.escape(rank.model)}</td><td class="number">{plain(rank.rms, 4)}</td>'
@@ -153,7 +151,7 @@ def families_table(result: FitResult) -> str:
     )
 
 
-def correlation_table(result: FitResult) -> str | None:
+def correlation_table(result: FitRecord) -> str | None:
     """Correlations of the determined parameters as a heat map; None if there are not two."""
     declared = result.declared
     known = [i for i, name in enumerate(result.names) if result.identifiable[name]]

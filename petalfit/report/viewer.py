@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from petalfit.fitting.result import Agreement, FitResult
-from petalfit.observations import Silhouette
 from petalfit.report.colour import FRONT, IGNORED, NEGATIVE, POSITIVE, REAR, ZERO, css
 from petalfit.report.rounding import count, plain
 from petalfit.report.scene import BASE, FACE, LIGHT, OBLIQUE, SIDE, Scene, View, distance_limit
+from petalfit.report.shown import shown
 from petalfit.report.swatch import ignored, swatch
+from petalfit.results import Agreement, FitRecord
 
 # Of all clouds together. A point takes 7 bytes.
 _POINTS = 20_000
@@ -34,7 +34,7 @@ _HINT = (
 )
 
 
-def viewer(result: FitResult, scenes: Sequence[Scene], parts: Sequence[Agreement | None]) -> str:
+def viewer(result: FitRecord, scenes: Sequence[Scene], parts: Sequence[Agreement | None]) -> str:
     """The viewer as a figure that stays hidden until its script runs.
 
     Args:
@@ -61,7 +61,7 @@ def viewer(result: FitResult, scenes: Sequence[Scene], parts: Sequence[Agreement
     }  # fmt: skip
     data = json.dumps(content, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     noise = clouds[0][1].noise if len(clouds) == 1 else 0.0
-    unit = "pixels" if "scale" in result.values else "the target's unit"
+    unit = "pixels" if result.in_image else "the target's unit"
     return (
         '<figure class="viewer" hidden><div class="stage">'
         f'<canvas tabindex="0" role="application" aria-label="{_LABEL}"></canvas>'
@@ -147,13 +147,11 @@ def _base64(array: np.ndarray) -> str:
     return base64.b64encode(array.tobytes()).decode("ascii")
 
 
-def _views(result: FitResult, clouds: bool) -> list[View]:
+def _views(result: FitRecord, clouds: bool) -> list[View]:
     """From where a reader may look, the first one to begin with: a camera's if there are only masks."""
     usual = [OBLIQUE, FACE, SIDE, BASE]
     cameras = [
-        part.target.camera
-        for part in result.agreements
-        if isinstance(part.target, Silhouette) and part.target.camera is not None
+        camera for part in result.agreements if (camera := shown(part).camera(part)) is not None
     ]
     seen = [
         View(

@@ -17,9 +17,8 @@ from petalfit.residuals.foot_point import limits as limits
 from petalfit.residuals.foot_point import nearest_nodes as nearest_nodes
 from petalfit.residuals.foot_point import refine_foot_points as refine_foot_points
 from petalfit.residuals.foot_point import slide_foot_points as slide_foot_points
-from petalfit.residuals.parts import FrozenParts as FrozenParts
-from petalfit.residuals.parts import PartsDistance as PartsDistance
 from petalfit.residuals.tangent_distance import Data as Data
+from petalfit.residuals.tangent_distance import FrozenDistance as FrozenDistance
 from petalfit.residuals.tangent_distance import TangentDistance as TangentDistance
 from petalfit.residuals.tangent_distance import estimate_sigma as estimate_sigma
 from petalfit.residuals.term import AbstractFrozen as AbstractFrozen

@@ -6,6 +6,7 @@ import numpy as np
 import viser
 
 from petalfit.components import models
+from petalfit.fitting import DEFAULT, LOSSES
 from petalfit.studio import words
 from petalfit.synthetic import RECIPES
 
@@ -55,7 +56,7 @@ class PetalControls:
                 self.again = gui.add_button("Cut it out again", icon=viser.Icon.SCISSORS)
             with gui.add_folder("Fit"):
                 self.kind = gui.add_dropdown(
-                    "Model", ["auto", *models()], initial_value="PeonyPetal",
+                    "Model", ["auto", *models()], initial_value=DEFAULT.__name__,
                     hint="auto fits every family of petals and keeps the one that explains best",
                 )  # fmt: skip
                 self.pose = gui.add_dropdown(
@@ -64,8 +65,8 @@ class PetalControls:
                     "similarity: anywhere, in any unit",
                 )  # fmt: skip
                 self.loss = gui.add_dropdown(
-                    "Loss", ["linear", "robust"],
-                    hint="robust if there may be strays, clutter or other things",
+                    "Loss", [*LOSSES],
+                    hint="; ".join(f"{loss.name}: {loss.meaning}" for loss in LOSSES.values()),
                 )  # fmt: skip
                 self.go = gui.add_button("Fit", color="teal", icon=viser.Icon.PLAYER_PLAY)
                 self.stop = gui.add_button("Cancel", icon=viser.Icon.X, visible=False)

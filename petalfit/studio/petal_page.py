@@ -7,23 +7,21 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-import jax
 import numpy as np
-from jaxtyping import Float
 
-from petalfit.components import AbstractAssembly, Posed, models, parameters
+from petalfit.components import Posed, models, parameters
 from petalfit.export.mesh import export_glb
-from petalfit.fitting import FitResult, Start, fit_petal
-from petalfit.fitting.cloud import beside, off
-from petalfit.fitting.live import Glimpse, looking_on
-from petalfit.fitting.programs import numbers
-from petalfit.observations import Camera, PointCloud, Silhouette, TargetError
+from petalfit.fitting import DEFAULT, FOR_SCANS, FitResult, family_of, fit_petal
+from petalfit.fitting.coordinates import in_doubles
+from petalfit.fitting.solver.observer import Glimpse, looking_on
+from petalfit.observations import AbstractObservation, Camera, Silhouette, TargetError
 from petalfit.report import write_report
-from petalfit.report.colour import IGNORED, diverging
+from petalfit.report.colour import diverging
 from petalfit.report.scene import distance_limit
+from petalfit.results import Start
 from petalfit.studio import words
+from petalfit.studio.drawn import AbstractDrawn, DrawnMask, drawn
 from petalfit.studio.petal_controls import CASES, FITTED, PetalControls
-from petalfit.studio.pictures import picture
 from petalfit.studio.session import Session
 from petalfit.studio.sliders import add_slider
 from petalfit.studio.uploads import Photo, read_upload
@@ -32,8 +30,6 @@ from petalfit.surfaces import AbstractSurface, Pose, value_at, with_value
 from petalfit.synthetic import make, make_masks
 
 _RESOLUTION = (65, 65)  # that of `FitResult.mesh`, whose program is there
-_IN_VIEW = 20_000  # points; of more a random choice
-_BESIDE = 2000  # of them, whose distances follow the sliders
 _OFTEN = 0.08  # seconds between two pictures of a fit that runs
 _FEW = 12  # rounds seen; with fewer the fit was too quick for the eye, and is shown again
 
@@ -43,14 +39,14 @@ class PetalPage:
 
     def __init__(self, session: Session) -> None:
         self._session, self._scenery = session, session.scenery
-        self._target: PointCloud | Silhouette | None = None
+        self._target: AbstractObservation | None = None
+        self._drawn: AbstractDrawn | None = None
         self._photo: Photo | None = None
         self._result: FitResult | None = None
         self._model: AbstractSurface | None = None
         self._prepared: FitResult | None = None
         self._history: list[Glimpse] = []
         self._costs: list[float] = []
-        self._some = np.arange(0)
         self._sliders: list[Any] = []
         self._rounds: list[Any] = []
         self._controls = PetalControls(session.gui)
@@ -102,8 +98,8 @@ class PetalPage:
         elif isinstance(read, Silhouette):
             self._take(read, f"{file.name}, a mask", "known", "linear")
         else:
-            self._take(read, f"{file.name}, {len(read):,} points", "similarity", "linear")
-            self._controls.kind.value = "BladePetal"
+            self._take(read, f"{file.name}, {read.described}", "similarity", "linear")
+            self._controls.kind.value = FOR_SCANS.__name__
 
     def _take_photo(self, photo: Photo, name: str) -> None:
         self._take(photo.target, f"{name}, a photo; is this the petal?", "known", "linear", photo)
@@ -115,7 +111,7 @@ class PetalPage:
 
     def _take(
         self,
-        target: PointCloud | Silhouette,
+        target: AbstractObservation,
         about: str,
         pose: str,
         loss: str,
@@ -129,15 +125,17 @@ class PetalPage:
         self._controls.about.content = words.text(about)
         self._controls.state.content = ""
         self._controls.pose.value, self._controls.loss.value = pose, loss
-        if isinstance(target, Silhouette) and self._controls.kind.value in ("auto", "SplinePetal"):
-            self._controls.kind.value = "PeonyPetal"
+        self._drawn = on_page = drawn(target, self._scenery, self._controls)
+        if photo is not None and isinstance(on_page, DrawnMask):
+            on_page.photo = photo.picture
+        kind = models().get(self._controls.kind.value)  # none for "auto"
+        if on_page.in_picture and (kind is None or not family_of(kind).sees_outlines):
+            self._controls.kind.value = DEFAULT.__name__
         self._hide_result()
         self._controls.cut.visible = photo is not None
-        self._controls.picture.visible = isinstance(target, Silhouette)
+        self._controls.picture.visible = on_page.in_picture
         self._scenery.clear()
-        if isinstance(target, PointCloud):
-            self._some = np.random.default_rng(0).permutation(len(target))[:_IN_VIEW]
-            self._scenery.look_at(target.points[self._some])
+        on_page.look()
         self.draw()
 
     def _hide_result(self) -> None:
@@ -163,7 +161,7 @@ class PetalPage:
         self._controls.state.content = words.progress("waiting for a core", [])
         self._session.begin(lambda work: self._run(work, target, options))
 
-    def _run(self, work: Work, target: PointCloud | Silhouette, options: dict[str, Any]) -> None:
+    def _run(self, work: Work, target: AbstractObservation, options: dict[str, Any]) -> None:
         """The fit, in a thread of its own."""
         session, drawn, shown = self._session, [0.0], [0]
         stage = ["beginning"]
@@ -239,10 +237,11 @@ class PetalPage:
 
     def _prepare_sliders(self, result: FitResult) -> None:
         """Lets distances follow them, too; not before what that takes is compiled."""
-        target = result.agreements[0].target
-        if isinstance(target, PointCloud) and not isinstance(result.model, AbstractAssembly):
-            with self._session.compiled():
-                _distances(result.model, result.pose.into(target.points[self._some][:_BESIDE]))
+        on_page = self._drawn
+        assert on_page is not None, "a result has a target"
+        with self._session.compiled():
+            measured = on_page.prepare(result)
+        if measured:
             with self._session.turn():
                 self._prepared = result
                 if self._is_edited:
@@ -259,10 +258,9 @@ class PetalPage:
         self._add_sliders(result.model)
         self._add_rounds()
         part = result.agreements[0]
-        self._controls.key.content = words.key(
-            distance_limit(part), " px" if part.unit == "px" else ""
-        )
-        self._controls.key.visible = isinstance(part.target, PointCloud)
+        assert self._drawn is not None, "a result has a target"
+        self._controls.key.content = words.key(distance_limit(part), self._drawn.unit)
+        self._controls.key.visible = not self._drawn.in_picture
         self.draw(look=True)
 
     def _add_rounds(self) -> None:
@@ -328,65 +326,30 @@ class PetalPage:
 
     def draw(self, look: bool = False) -> None:
         """Everything, as it is; from a new place if `look`."""
-        target, result, model = self._target, self._result, self._model
-        if target is None:
+        on_page, result, model = self._drawn, self._result, self._model
+        if on_page is None:
             return
         pose = Pose.identity() if result is None else result.pose
         if model is not None:
             self._draw_surface(model, look)
-        distances = None
-        if isinstance(target, PointCloud):
-            distances = self._draw_points(target, pose, model)
-        else:
-            self._draw_outline(target, model, pose)
-        if result is None:
-            return
-        rms = None
-        if distances is not None:
-            part = result.agreements[0]
-            weights = part.weights[self._some[: len(distances)]]
-            rms = float(np.sqrt(np.average(distances**2, weights=weights + 1e-300)))
-        unit = " px" if isinstance(target, Silhouette) else ""
-        self._controls.edited.content = words.edited(result, rms, unit) if self._is_edited else ""
-
-    def _draw_outline(self, target: Silhouette, model: AbstractSurface | None, pose: Pose) -> None:
-        photo = None if self._photo is None else self._photo.picture
-        self._controls.picture.image = picture(target, photo, model, pose)
+        rms = on_page.draw(model, pose, result, measured=self._prepared is result)
+        if result is not None:
+            edited = words.edited(result, rms, on_page.unit) if self._is_edited else ""
+            self._controls.edited.content = edited
 
     def _draw_surface(self, model: AbstractSurface, look: bool) -> None:
         # Numbers of one kind, so that one program serves all.
-        mesh = numbers(model).mesh(_RESOLUTION)
+        mesh = in_doubles(model).mesh(_RESOLUTION)
         vertices, normals = np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals)
         if look:
             self._scenery.look_at(vertices)
         self._scenery.surface(vertices, np.asarray(mesh.faces), self._controls.show_surface.value)
         self._scenery.normals(vertices, normals, self._controls.show_normals.value)
 
-    def _draw_points(
-        self, target: PointCloud, pose: Pose, model: AbstractSurface | None
-    ) -> Float[np.ndarray, " n"] | None:
-        """Points in the model's frame by their distances, which are given back if they were measured."""
-        result = self._result
-        points = pose.into(target.points[self._some])
-        colours, distances = np.tile(IGNORED, (len(points), 1)), None
-        if result is not None and model is not None:
-            part = result.agreements[0]
-            limit, used = distance_limit(part), part.used[self._some]
-            if not self._is_edited:
-                distances = part.distances[self._some]
-            elif self._prepared is result:
-                points, used = points[:_BESIDE], used[:_BESIDE]
-                distances = float(pose.scale) * _distances(model, points)
-            if distances is not None:
-                colours = np.where(used[:, None], diverging(distances / limit), IGNORED)
-        self._scenery.points(points, colours[: len(points)], self._controls.show_points.value)
-        return distances
-
     def _draw_glimpse(self, glimpse: Glimpse, first: bool = False) -> None:
         model, points = glimpse.model, glimpse.points
-        target = self._target
-        if isinstance(target, Silhouette):
-            self._draw_outline(target, model, Pose.identity())
+        if self._drawn is not None:
+            self._drawn.glimpse(model)
         if isinstance(model, Posed):
             # The petal stays where it is, and its points come to it.
             points, model = model.placement.into(points), model.surface
@@ -413,13 +376,6 @@ class PetalPage:
             "report.html": write_report,
         }[name]
         self._session.download(name, lambda path: write(result, path))
-
-
-def _distances(model: AbstractSurface, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
-    """Signed distances to a surface that ends."""
-    with jax.enable_x64(True):
-        normal, beyond, _ = beside(numbers(model), points)
-    return off(normal, beyond)
 
 
 def _ends(result: FitResult) -> dict[str, Start]:

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image, ImageDraw
 
-from petalfit.fitting.programs import numbers
+from petalfit.fitting.coordinates import in_doubles
 from petalfit.observations import Contour, Silhouette
 from petalfit.report.colour import MASK, POINT, POSITIVE
 from petalfit.surfaces import AbstractSurface, Pose, rings
@@ -45,7 +45,7 @@ def picture(
     for x, y in (contour.place * factor).tolist():
         draw.ellipse((x - 1.2, y - 1.2, x + 1.2, y + 1.2), fill=_rgb(POINT))
     if model is not None:
-        vertices = np.asarray(pose(np.asarray(numbers(model).mesh(_RESOLUTION).vertices)))
+        vertices = np.asarray(pose(np.asarray(in_doubles(model).mesh(_RESOLUTION).vertices)))
         for ring in rings(contour.camera.project(vertices.reshape(*_RESOLUTION, 3))):
             draw.line([*map(tuple, (ring * factor).tolist())], fill=_rgb(POSITIVE), width=2)
     return np.asarray(image)

@@ -11,6 +11,7 @@ import numpy as np
 from petalfit.fitting import FitResult
 from petalfit.report.colour import NEGATIVE, POSITIVE, ZERO, css
 from petalfit.report.rounding import measured, plain
+from petalfit.results import WarningKind
 
 _SOFT = "opacity:0.72;font-size:0.86em"
 _CELL = "padding:0.1em 0.35em;vertical-align:top"
@@ -44,9 +45,9 @@ def verdict(result: FitResult) -> str:
     if result.ranking:
         ranks = ", ".join(f"{html.escape(x.model)} {x.delta_bic:+.0f}" for x in result.ranking[1:])
         lines.append(f'<span style="{_SOFT}">ΔBIC of the others: {ranks}</span>')
-    doubts = [x for x in result.warnings if not x.endswith("is not determined by this target")]
+    doubts = [x.text for x in result.warnings if x.kind is not WarningKind.NOT_DETERMINED]
     if not result.converged:
-        doubts.insert(0, result.message)
+        doubts.insert(0, f"{result.status.meaning} {result.outcome}")
     lines += [f'<span style="{_SOFT}">⚠ {html.escape(doubt)}</span>' for doubt in doubts]
     return _block("<br>".join(lines))
 
@@ -96,7 +97,7 @@ def _curve(costs: Sequence[float]) -> str:
         f'<svg viewBox="0 0 280 44" style="width:100%;display:block" role="img">'
         f"<title>distance after each round, logarithmic</title>"
         f'<polyline points="{places}" fill="none" stroke="currentColor" stroke-width="1.5"/></svg>'
-        f'<span style="{_SOFT}">{len(costs)} rounds seen; rms distance {plain(costs[-1])}</span>'
+        f'<span style="{_SOFT}">{len(costs)} iterations seen; rms distance {plain(costs[-1])}</span>'
     )
 
 

@@ -1,5 +1,6 @@
 """Differentiable surfaces: a map (u, v) → ℝ³ and what follows from the map alone."""
 
+from petalfit.surfaces.cells import cells as cells
 from petalfit.surfaces.deformation import AbstractDeformedSurface as AbstractDeformedSurface
 from petalfit.surfaces.map import AbstractMap as AbstractMap
 from petalfit.surfaces.map import Domain as Domain

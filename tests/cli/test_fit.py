@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from petalfit import __version__
+from petalfit import FitWarning, Status, __version__
 from petalfit.fitting import FitResult
 from petalfit.observations import PointCloud
 from petalfit.synthetic import Case, make, random_petal
@@ -116,7 +116,10 @@ def test_undetermined_parameters_and_warnings_are_told(
 ) -> None:
     fitted = known_pose()
     # Text in brackets must not be taken for rich's markup.
-    warnings = ("dx is not determined by this target", "something in [brackets]")
+    warnings = (
+        FitWarning("dx is not determined by this target", "not_determined", ["dx"]),
+        FitWarning("something in [brackets]", "systematic"),
+    )
     covariance = fitted.covariance.copy()
     row = fitted.names.index("dx")
     covariance[row, :] = covariance[:, row] = math.inf
@@ -127,7 +130,6 @@ def test_undetermined_parameters_and_warnings_are_told(
             identifiable=fitted.identifiable | {"dx": False},
             covariance=covariance,
             warnings=warnings,
-            message="; ".join([fitted.message, *warnings]),
         )
     )
     for quiet in [], ["--quiet"]:
@@ -144,10 +146,9 @@ def test_not_converged_is_status_3_and_files_are_there(
     instantly(
         dataclasses.replace(
             fitted,
-            converged=False,
-            status="misfit",
-            warnings=("dx is not determined",),
-            message="no petal; either this, or that; dx is not determined",
+            status=Status.MISFIT,
+            warnings=(FitWarning("dx is not determined", "not_determined", ["dx"]),),
+            reason="no petal; either this, or that",
         )
     )
     outcome = petalfit("fit", cloud_file, "--out", tmp_path / "out")
@@ -174,9 +175,8 @@ def test_a_fit_without_a_result_is_told_too(
             covariance=np.full((size, size), math.inf),
             noise=math.nan,
             distances=nothing,
-            converged=False,
-            status="not_finite",
-            message="the solver met values that are not finite",
+            status=Status.NOT_FINITE,
+            reason="the solver met values that are not finite",
         )
     )
     outcome = petalfit("fit", cloud_file, "--out", tmp_path / "out")

@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 
 import petalfit as pf
 from benchmarks.targets import among_strays, cloud_of, petal_of
-from petalfit.fitting.misfit import MisfitMap
-from petalfit.fitting.robust import mixture
-from petalfit.fitting.strays import on_sheets
+from petalfit.fitting.likelihood.mixture import mixture
+from petalfit.fitting.outliers.local_planes import on_sheets
+from petalfit.results import MisfitMap
 from petalfit.surfaces import sample_uv
 from petalfit.synthetic import random_petal
 
@@ -157,8 +157,8 @@ def test_a_fit_among_clutter_says_who_it_takes_for_a_stray():
     scene, result = among_clutter(0)
     assert result.converged
     (part,) = result.agreements
-    assert part.strays == np.sum(result.weights < 0.5)
-    assert f"{part.strays} of 2000 points are taken for strays" in result.message
+    assert part.outliers == np.sum(result.weights < 0.5)
+    assert f"{part.outliers} of 2000 points are taken for outliers" in result.message
     assert result.noise == pytest.approx(SIGMA, rel=0.1)
     assert part.uv is not None
     assert part.uv.shape == (2000, 2)
@@ -244,7 +244,7 @@ def test_points_that_repeat_others_count_once():
         assert twice.values[name] == pytest.approx(once.values[name], abs=0.05 * once.stderr[name])
         assert twice.stderr[name] == pytest.approx(once.stderr[name], rel=1e-2)
     assert np.sum(twice.weights) == 800
-    assert twice.agreements[0].strays == 0
+    assert twice.agreements[0].outliers == 0
 
 
 def test_a_map_of_the_misfit():
@@ -290,4 +290,4 @@ def test_a_start_that_all_points_leave_is_an_end_like_others():
     result = pf.fit_petal(points, pose="rigid", loss="robust", throw=False)
     assert result.starts[0].delta_chi2 == 0
     assert all(np.isfinite([start.rms, start.delta_chi2]).all() for start in result.starts)
-    assert "are taken for strays" in result.message
+    assert "are taken for outliers" in result.message

@@ -9,9 +9,9 @@ import pytest
 
 import petalfit as pf
 from petalfit.compilation import bucket
-from petalfit.fitting import cloud_fit
 from petalfit.fitting.coordinates import Coordinates
-from petalfit.fitting.peony_start import rib_periodogram
+from petalfit.fitting.families import polish
+from petalfit.fitting.families.peony.ribs import rib_periodogram
 
 from .conftest import NAMES, SIGMA, noisy_cloud
 
@@ -65,7 +65,7 @@ def test_saving_is_lossless(result, tmp_path):
         (b"\x00\xff", "cannot be read"),
         (b"{}", "is not a fit result"),
         (b'{"format": "petalfit.FitResult", "version": 99}', "version 99"),
-        (b'{"format": "petalfit.FitResult", "version": 3, "model": "PeonyPetal"}', "damaged"),
+        (b'{"format": "petalfit.FitResult", "version": 4, "model": "PeonyPetal"}', "damaged"),
     ],
 )
 def test_a_file_that_is_no_result_is_refused(content, match, tmp_path):
@@ -189,7 +189,7 @@ def test_impossible_options_are_refused(options):
 
 
 def test_a_failed_fit_raises_or_says_so(monkeypatch, cloud):
-    monkeypatch.setattr(cloud_fit, "_ROUNDS", 1)
+    monkeypatch.setattr(polish, "_ROUNDS", 1)
     far = pf.PeonyPetal(a_x=16.0, b_y=20.0, dy=1.0)
     with pytest.raises(pf.FitError, match="not converged") as error:
         pf.fit_petal(cloud[1], init=far)

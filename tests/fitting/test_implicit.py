@@ -9,7 +9,7 @@ import pytest
 
 import petalfit as pf
 from petalfit.fitting.coordinates import Coordinates
-from petalfit.fitting.implicit import solve_differentiably
+from petalfit.fitting.solver.implicit import solve_differentiably
 from petalfit.residuals import Data, nearest_nodes, refine_foot_points
 
 

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from petalfit import Camera, FitResult, PointCloud, Silhouette
-from petalfit.fitting import Agreement
+from petalfit.results import Agreement
 from tests.fitted import changed, known_pose
 
 CAMERA = Camera.look_at((30, -40, 70), (0, 12, 0), (40, 50), field_of_view=0.6)
@@ -48,6 +48,6 @@ def test_every_number_counts():
 
 
 def test_what_was_found_does_not_count():
-    other = changed(known_pose(), noise=0.2, message="something else", command="petalfit fit x")
+    other = changed(known_pose(), noise=0.2, reason="something else", command="petalfit fit x")
     assert other.input_hash == known_pose().input_hash
     assert len(other.input_hash) == 64

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 import petalfit as pf
-from petalfit.fitting.live import Glimpse, looking_on
+from petalfit.fitting.solver.observer import Glimpse, looking_on
 
 PETAL = pf.PeonyPetal(a_x=12.0, b_y=25.0, dx=0.3)
 

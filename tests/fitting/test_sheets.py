@@ -10,13 +10,12 @@ import pytest
 from scipy.spatial import KDTree
 
 import petalfit as pf
-from petalfit.fitting.canonical import Canonical
-from petalfit.fitting.cloud import ObservedCloud, pad
 from petalfit.fitting.coordinates import Coordinates
-from petalfit.fitting.flatten import flatten
-from petalfit.fitting.live import Glimpse, looking_on
-from petalfit.fitting.rounds import Settled
-from petalfit.fitting.sheet import _in_target
+from petalfit.fitting.families.blade.family import BladeFamily
+from petalfit.fitting.likelihood.cloud import ObservedCloud, pad
+from petalfit.fitting.solver.iterate import Iterate
+from petalfit.fitting.solver.observer import Glimpse, looking_on
+from petalfit.fitting.starts.flatten import flatten
 from petalfit.residuals import Emptiness
 
 PETALS = Path(__file__).parents[3] / "shared" / "data" / "petals"
@@ -195,21 +194,27 @@ def test_a_blade_that_is_turned_over_says_the_same():
         points = np.asarray(model(*uv.T)) + 0.01 * rng.standard_normal((96, 3))
         cloud = ObservedCloud(pad(points, np.ones(96), 0.01))
 
-        def end(model: pf.components.Posed, uv: np.ndarray) -> Settled:
+        def end(model: pf.components.Posed, uv: np.ndarray) -> Iterate:
             coordinates = Coordinates.of(model, names)
             t, term = coordinates.inverse(model), cloud.at(jax.numpy.asarray(uv))
             slopes = coordinates.slopes(t)
             information = cloud.information(coordinates, t, term)[0] / np.outer(slopes, slopes)
-            seen = tuple(cloud.seen(coordinates, t, term))
-            return Settled("", model, information, information, seen, 1, 0.0, 0.0)
+            return Iterate(
+                model,
+                (term,),
+                1,
+                0.0,
+                information=information,
+                score_covariance=information,
+                residuals=tuple(cloud.residuals(coordinates, t, term)),
+            )
 
-        frame = Canonical(np.eye(3), np.zeros(3), 1.0, exact=True)
-        mapped = _in_target(end(model, uv), names, frame, np.arange(96))
+        mapped = BladeFamily().standard_form(end(model, uv), names)
         assert float(mapped.model.surface.cup_mid) == pytest.approx(TRUTH.cup_mid)
-        (seen,) = mapped.seen
+        (seen,) = mapped.residuals
         again = end(mapped.model, seen.uv)
         np.testing.assert_allclose(mapped.model(*seen.uv.T), model(*uv.T), atol=1e-9)
-        np.testing.assert_allclose(again.seen[0].distance, seen.distance, atol=1e-9)
+        np.testing.assert_allclose(again.residuals[0].distance, seen.distance, atol=1e-9)
         shape = np.s_[:5, :5]
         np.testing.assert_allclose(
             np.linalg.inv(again.information)[shape],

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 import petalfit as pf
-from petalfit.fitting.view_pose import middle
-from petalfit.fitting.view_start import Shadow
+from petalfit.fitting.silhouettes.view_pose import middle
+from petalfit.fitting.starts.support import Shadow
 from petalfit.observations import Contour
 from petalfit.synthetic import random_petal
 

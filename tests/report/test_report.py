@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 import petalfit
-from petalfit import FitResult, PointCloud, Pose, __version__, parameters
+from petalfit import FitResult, PointCloud, Pose, Status, __version__, parameters
 from petalfit.report import provenance, write_picture, write_report
 from petalfit.report.colour import NEGATIVE, POSITIVE, ZERO, diverging
 from tests.fitted import HOSTILE, NOISE, changed, known_pose, posed
@@ -131,7 +131,7 @@ class TestContent:
 
     def test_provenance(self, page):
         assert f"petalfit {__version__}" in " ".join(page.text.split())
-        assert "petalfit.FitResult, version 3" in page.text
+        assert "petalfit.FitResult, version 4" in page.text
         assert posed().message in page.text
         assert posed().input_hash in page.text
         assert "400 points (360 of them used)" in page.text
@@ -250,7 +250,7 @@ class TestPictures:
 
 class TestPoorFits:
     def test_not_converged_leads(self, tmp_path):
-        page = variant(tmp_path, converged=False, status="round_limit", message="it moved & moved")
+        page = variant(tmp_path, status=Status.ROUND_LIMIT, reason="it moved & moved")
         words = " ".join(page.text.split())
         assert "fitted to 360 points not converged" in words
         assert "round_limit: it moved & moved" in words
@@ -260,8 +260,7 @@ class TestPoorFits:
         names = known_pose().names
         page = variant(
             tmp_path,
-            converged=False,
-            status="not_finite",
+            status=Status.NOT_FINITE,
             noise=math.nan,
             distances=np.full(400, np.nan),
             covariance=np.full((len(names), len(names)), np.inf),

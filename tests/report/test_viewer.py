@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from petalfit import Camera, FitResult, PointCloud, Silhouette
-from petalfit.fitting import Agreement
+from petalfit import Camera, FitResult, PointCloud, Silhouette, Status
 from petalfit.report.colour import POSITIVE
 from petalfit.report.scene import OBLIQUE, Scene
 from petalfit.report.viewer import viewer
+from petalfit.results import Agreement
 from tests.fitted import NOISE, changed, known_pose, posed
 
 SCRIPT = re.compile(r"<script(.*?)>(.*?)</script>", re.DOTALL)
@@ -115,7 +115,7 @@ class TestContent:
 
     def test_nothing_to_show(self, tmp_path):
         model = dataclasses.replace(known_pose().model, dx=np.nan)
-        page = write(changed(known_pose(), model=model, converged=False), tmp_path)
+        page = write(changed(known_pose(), model=model, status=Status.NOT_FINITE), tmp_path)
         assert "There are no pictures" in page
         assert "<script" not in page
         assert "script-src 'none'" in page

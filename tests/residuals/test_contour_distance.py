@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial import KDTree
 
 from petalfit.components import PeonyPetal
-from petalfit.fitting.views import Match, padded, rows
+from petalfit.fitting.likelihood.matching import Match, padded, rows
 from petalfit.observations import Camera, Contour, Silhouette
 from petalfit.surfaces import outline
 

@@ -1,0 +1,17 @@
+"""The error of a fit that failed numerically."""
+
+from __future__ import annotations
+
+from petalfit.results import Estimate
+
+
+class FitError(RuntimeError):
+    """A fit of usable data that did not converge.
+
+    Attributes:
+        result: The result that it ended with.
+    """
+
+    def __init__(self, message: str, result: Estimate) -> None:
+        super().__init__(message)
+        self.result = result

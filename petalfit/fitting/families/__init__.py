@@ -1,0 +1,1 @@
+"""Families of models, and how the members of each are found."""

@@ -1,0 +1,1 @@
+"""Organs of several surfaces."""

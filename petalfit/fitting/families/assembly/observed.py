@@ -1,0 +1,138 @@
+"""The likelihood of a cloud of several surfaces, whose points have to find their part first."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import cast
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from petalfit.components import AbstractAssembly
+from petalfit.fitting.coordinates import Coordinates, in_doubles
+from petalfit.fitting.families.assembly.parts_distance import PartsDistance
+from petalfit.fitting.likelihood import programs
+from petalfit.fitting.likelihood.cloud import ObservedCloud, comparable, mean_logarithm, pad
+from petalfit.fitting.likelihood.observed import (
+    AbstractObserved,
+    Residuals,
+    ScoreAndInformation,
+)
+from petalfit.residuals import AbstractTerm, Data, TangentDistance
+from petalfit.surfaces import AbstractSurface
+
+
+@dataclasses.dataclass(frozen=True)
+class ObservedParts(AbstractObserved):
+    """A cloud of an assembly, as a solver needs it.
+
+    Attributes:
+        data: The cloud.
+        count: How many points it has, without the padding.
+    """
+
+    data: Data
+    count: int
+
+    @classmethod
+    def of(cls, points: np.ndarray, weights: np.ndarray, noise: float | None) -> ObservedParts:
+        return cls(pad(points, weights, noise), len(points))
+
+    def match(self, model: AbstractSurface, term: AbstractTerm | None) -> PartsDistance:
+        """Foot points on every part, and every point shared among the parts that it may be of."""
+        feet, gaps = self._reach(model, term)
+        sigma = self.data.sigma if term is None else term.sigma
+        terms = tuple(
+            TangentDistance(
+                data=self.data._replace(weights=self.data.weights * share),
+                uv=uv,
+                sigma=self.data.sigma,
+            )
+            for share, uv in zip(_shares(gaps, float(sigma)), feet, strict=True)
+        )
+        return PartsDistance(terms=terms, sigma=sigma)
+
+    def _reach(
+        self, model: AbstractSurface, term: AbstractTerm | None
+    ) -> tuple[list[Array], Float[np.ndarray, "k n"]]:
+        """Foot points of all points on every part, and how far they are."""
+        points, feet, gaps = np.asarray(self.data.points), [], []
+        for k, (pose, surface) in enumerate(cast(AbstractAssembly, model).parts().values()):
+            # In the part's own frame: parts of one kind share their programs.
+            rotation, shift = np.asarray(pose.rotation), np.asarray(pose.translation)
+            own = (points - shift) @ rotation / float(pose.scale)
+            surface = in_doubles(surface)
+            known = isinstance(term, PartsDistance)
+            start = term.terms[k].uv if known else programs.nearest(surface, own)
+            uv = programs.refine(surface, own, start, 2 if known else 6)
+            feet.append(uv)
+            gaps.append(np.asarray(programs.distances(surface, own, uv)) * float(pose.scale))
+        return feet, np.stack(gaps)
+
+    def misfit(self, model: AbstractSurface) -> float:
+        _, gaps = self._reach(model, None)
+        shares = _shares(gaps, float(self.data.sigma)) * np.asarray(self.data.weights)
+        return mean_logarithm(self.data, gaps, shares)
+
+    def information(
+        self, coordinates: Coordinates, t: np.ndarray, term: AbstractTerm
+    ) -> tuple[np.ndarray, float]:
+        assert isinstance(term, PartsDistance)
+        surveys = [
+            programs.linearise(_within(coordinates, k), part.data, t, part.uv)
+            for k, part in enumerate(term.terms)
+        ]
+        counts = np.array([float(np.sum(np.asarray(part.data.weights))) for part in term.terms])
+        sigmas = np.array([float(seen.sigma) for seen in surveys])
+        sigma = float(np.sqrt(np.sum(counts * sigmas**2) / np.sum(counts)))
+        information = np.sum(
+            [np.asarray(seen.information) * (own / sigma) ** 2
+             for seen, own in zip(surveys, sigmas, strict=True)], axis=0)  # fmt: skip
+        return information, sigma
+
+    def score_and_information(
+        self, coordinates: Coordinates, t: np.ndarray, term: AbstractTerm
+    ) -> ScoreAndInformation:
+        assert isinstance(term, PartsDistance)
+        noise = float(term.sigma)
+        found = []
+        for k, part in enumerate(term.terms):
+            data = part.data._replace(sigma=jnp.asarray(noise))
+            if float(np.sum(np.asarray(data.weights))) == 0:
+                continue
+            one = TangentDistance(data=data, uv=part.uv, sigma=jnp.asarray(noise))
+            found.append(ObservedCloud(data).score_and_information(_within(coordinates, k), t, one))
+        information = np.sum([part.information for part in found], axis=0)
+        score = np.sum([part.score for part in found], axis=0)
+        return ScoreAndInformation(term, information, score, information)
+
+    def residuals(
+        self, coordinates: Coordinates, t: np.ndarray, term: AbstractTerm
+    ) -> list[Residuals]:
+        assert isinstance(term, PartsDistance)
+        parts = [
+            ObservedCloud(part.data).residuals(_within(coordinates, k), t, part)[0]
+            for k, part in enumerate(term.terms)
+        ]
+        owner = np.argmin([np.abs(part.distance) for part in parts], axis=0)
+        distance = np.choose(owner, [part.distance for part in parts])[: self.count]
+        weights = np.asarray(self.data.weights)[: self.count]
+        chi2 = comparable(distance, weights)
+        return [Residuals(distance, weights, float(term.sigma), "length", chi2)]
+
+
+def _shares(gaps: Float[np.ndarray, "k n"], sigma: float) -> Float[np.ndarray, "k n"]:
+    """How likely every point is of each part, all being covered equally densely.
+
+    Where parts run into one another the nearest is not always the right one: it would pull both there.
+    """
+    if not np.isfinite(sigma):
+        return (gaps == gaps.min(axis=0)).astype(float)
+    likely = np.exp(-0.5 * (gaps**2 - gaps.min(axis=0) ** 2) / sigma**2)
+    return likely / likely.sum(axis=0)
+
+
+def _within(coordinates: Coordinates, number: int) -> Coordinates:
+    """The same coordinates, of one part of the assembly."""
+    return dataclasses.replace(coordinates, template=coordinates.template.part(number))

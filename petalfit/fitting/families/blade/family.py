@@ -1,0 +1,52 @@
+"""The family of blades: a lamina that is bent, cupped and twisted, in any pose."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import ClassVar, cast
+
+import numpy as np
+from jaxtyping import Float
+
+from petalfit.components import BladePetal, bare
+from petalfit.fitting.families.blade.start import BladeStart, blade_starts
+from petalfit.fitting.families.open_surface import CloudStart, OpenSurfaceFamily, turned_over
+from petalfit.fitting.solver.iterate import Iterate
+from petalfit.surfaces import AbstractSurface
+
+
+class BladeFamily(OpenSurfaceFamily):
+    """Blades: the flattened cloud shows where base and tip may be, and how the blade is bent."""
+
+    kind: ClassVar[type[AbstractSurface]] = BladePetal
+    gauges: ClassVar[Mapping[str, tuple[str, ...]]] = {"similarity": ("length",)}
+    is_petal: ClassVar[bool] = True
+    held_at_first: ClassVar[tuple[str, ...]] = (
+        "tip_roll",
+        "margin_curl",
+        "keel",
+        "tip_edge",
+        "base_edge",
+        "skew",
+    )
+
+    def starts(
+        self,
+        template: AbstractSurface,
+        free: tuple[str, ...],
+        points: Float[np.ndarray, "n 3"],
+        pose: str,
+    ) -> Sequence[BladeStart]:
+        found = blade_starts(cast(BladePetal, template), free, points, pose != "known")
+        return [start.scaled("length", pose) for start in found]
+
+    def labels(self, starts: Sequence[CloudStart]) -> list[str]:
+        best, *_ = found = cast(Sequence[BladeStart], starts)
+        return [start.beside(best) for start in found]
+
+    def standard_form(self, end: Iterate, names: tuple[str, ...]) -> Iterate:
+        """A blade has its hollow side up; the blade turned over is the same one by other numbers."""
+        blade = cast(BladePetal, bare(end.model))
+        if not float(blade.cup_mid) < 0:
+            return end
+        return turned_over(end, names, blade.turned_over(), BladePetal.sided)

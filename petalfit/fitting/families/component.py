@@ -1,0 +1,64 @@
+"""Any component of one surface, in a known pose: it begins as far as the cloud in all directions."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import ClassVar
+
+import numpy as np
+
+from petalfit.fitting.coordinates import Coordinates, Prior
+from petalfit.fitting.families.family import AbstractFamily
+from petalfit.fitting.families.polish import START_POINTS, follow, polished
+from petalfit.fitting.likelihood.cloud import ObservedCloud, pad
+from petalfit.fitting.likelihood.quadrature import Quadrature
+from petalfit.fitting.outliers.scan import Scan
+from petalfit.fitting.request.request import Request, scan_of
+from petalfit.fitting.solver.all_points import with_all_points
+from petalfit.fitting.solver.iterate import Iterate
+from petalfit.fitting.starts.extent import extent_starts
+from petalfit.fitting.starts.frame import NormalisedFrame
+from petalfit.surfaces import AbstractSurface, Rectangle
+
+
+class ComponentFamily(AbstractFamily):
+    """Components that have no family of their own."""
+
+    kind: ClassVar[type[AbstractSurface]] = AbstractSurface
+
+    def fit_cloud(self, request: Request) -> list[Iterate]:
+        coordinates = Coordinates.of(request.template, request.free)
+        scan, _ = scan_of(request, NormalisedFrame.of(request.cloud.points, "known"), False)
+        starts = [("given", coordinates.template)]
+        if not request.from_template:
+            some = scan.some(START_POINTS)
+            starts = extent_starts(coordinates, _observed, scan.points[some], scan.weights[some])
+
+        def settle(label: str, model: AbstractSurface, prior: Prior | None) -> Iterate:
+            return _uniformly_covered(polished(scan, coordinates, label, model, prior), scan)
+
+        best, *others = follow(coordinates, starts, settle)
+        coordinates = Coordinates.of(best.model, request.free)
+        return [with_all_points(coordinates, best, 0, request.cloud), *others]
+
+
+class RectangleFamily(ComponentFamily):
+    """Rectangles: where one lies along its normal is the pose's to say."""
+
+    kind: ClassVar[type[AbstractSurface]] = Rectangle
+    gauges: ClassVar[Mapping[str, tuple[str, ...]]] = {"rigid": ("c_z",)}
+
+
+def _observed(points: np.ndarray, weights: np.ndarray, noise: float | None) -> ObservedCloud:
+    return ObservedCloud(pad(points, weights, noise))
+
+
+def _uniformly_covered(end: Iterate, scan: Scan) -> Iterate:
+    """The end, compared with others by the likelihood of points that cover its area evenly too.
+
+    A surface that goes on where no points are may follow the others as well as a shorter one.
+    """
+    area = float(np.sum(Quadrature.of(end.model).area))
+    chi2 = 2 * float(np.sum(scan.weights) * np.log(max(area, 1e-300)))
+    return dataclasses.replace(end, chi2=end.chi2 + chi2)

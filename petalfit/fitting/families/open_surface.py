@@ -1,0 +1,253 @@
+"""Open surfaces in a pose that may be unknown, found by a safeguarded descent from a few starts."""
+
+from __future__ import annotations
+
+import abc
+import dataclasses
+from collections.abc import Sequence
+from typing import ClassVar, TypeVar
+
+import numpy as np
+from jaxtyping import Float
+
+from petalfit.compilation import stage
+from petalfit.components import Posed
+from petalfit.fitting.coordinates import Coordinates, in_doubles, with_values
+from petalfit.fitting.families.family import EVERY_POSE, AbstractFamily
+from petalfit.fitting.families.polish import likelier
+from petalfit.fitting.likelihood.cloud import ObservedCloud
+from petalfit.fitting.outliers.scan import Scan
+from petalfit.fitting.request.request import Request, scan_of
+from petalfit.fitting.solver.all_points import with_all_points
+from petalfit.fitting.solver.debias import without_bias
+from petalfit.fitting.solver.descent import HELD, HELD_BACK, Descent, terms_of
+from petalfit.fitting.solver.iterate import Iterate
+from petalfit.fitting.solver.observer import report
+from petalfit.fitting.starts.frame import NormalisedFrame
+from petalfit.surfaces import AbstractSurface, value_at
+
+# Points that a start is found with, and that rough steps are taken on.
+_SOME = 1536
+_ROUGHLY = 768
+_FOLLOWED = 2
+_ROUGH, _FINE = 10, 30  # steps
+# A start whose χ² is worse than the best's by more than this after rough steps is not followed.
+_HOPELESS = 0.2  # of the number of points
+_SETTLED = 0.3  # √χ² of a step's gain
+_FAR = 0.012  # of the extent: a surface that is so far from its points may be in the wrong place
+_CLEARINGS, _AGAIN = 3, 6
+_UNCHANGED = 0.002  # of the points
+
+
+Start = TypeVar("Start", bound="CloudStart")
+
+
+@dataclasses.dataclass(frozen=True)
+class CloudStart:
+    """A model that roughly follows a cloud.
+
+    Attributes:
+        model: The model in its own frame. With pose="similarity" its gauge has the template's value.
+        rotation: The rotation from the model's frame to the cloud's, shape (3, 3).
+        translation: Where the model's origin lies in the cloud's frame, shape (3,).
+        scale: The length of the model's unit in the cloud's frame.
+        label: What distinguishes it from the other starts.
+    """
+
+    model: AbstractSurface
+    rotation: Float[np.ndarray, "3 3"]
+    translation: Float[np.ndarray, "3"]
+    scale: float
+    label: str
+
+    def scaled(self: Start, length: str, pose: str) -> Start:
+        """The start with its scale as a part of its model, unless the pose has it.
+
+        Args:
+            length: The parameter that all lengths of the model are proportional to.
+            pose: "known", "rigid" or "similarity".
+        """
+        if pose == "similarity":
+            return self
+        longer = with_values(self.model, {length: value_at(self.model, length) * self.scale})
+        return dataclasses.replace(self, model=longer, scale=1.0)
+
+    def posed(self, pose: str) -> AbstractSurface:
+        """The model, with its pose around it unless that is known."""
+        if pose == "known":
+            return self.model
+        return Posed(self.model, self.rotation, self.translation, self.scale)
+
+
+class OpenSurfaceFamily(AbstractFamily):
+    """A family whose members are open surfaces, and which knows where a fit may start.
+
+    A subclass names its `kind`, its `gauges` and what is `held_at_first`, and gives `starts`. Its
+    members are then fitted in every pose, with every loss.
+
+    Attributes:
+        held_at_first: Parameters that rough steps hold: they say nothing while the rest is rough.
+    """
+
+    poses: ClassVar[tuple[str, ...]] = EVERY_POSE
+    held_at_first: ClassVar[tuple[str, ...]] = ()
+
+    @abc.abstractmethod
+    def starts(
+        self,
+        template: AbstractSurface,
+        free: tuple[str, ...],
+        points: Float[np.ndarray, "n 3"],
+        pose: str,
+    ) -> Sequence[CloudStart]:
+        """Models that may be the cloud's, the likeliest first; two of them are followed.
+
+        Args:
+            template: Values of what is not free.
+            free: Names of the free parameters, without the gauge and those of the pose.
+            points: Points of the surface, for the most part, in the cloud's normalised frame.
+            pose: "known": rotation and translation are not used. "rigid": the model's unit is the
+                cloud's, and so is its scale. "similarity": all of them count.
+        """
+
+    def labels(self, starts: Sequence[CloudStart]) -> list[str]:
+        """What the ends are called in a result, given their starts, that of the best end first."""
+        return [start.label for start in starts]
+
+    def standard_form(self, end: Iterate, names: tuple[str, ...]) -> Iterate:
+        """The end by the numbers that a result has, where other numbers give the same surface.
+
+        Args:
+            end: An end in an unknown pose.
+            names: All that is free.
+        """
+        del names
+        return end
+
+    def fit_cloud(self, request: Request) -> list[Iterate]:
+        used = request.cloud.mass > 0
+        frame = NormalisedFrame.of(request.cloud.points[used], request.pose)
+        scan, order = scan_of(request, frame, True)
+        sheets, masses = scan.points[scan.likely], scan.weights[scan.likely]
+        names = self.free_in(request.pose, request.free)
+        starts: list[tuple[str, AbstractSurface]] = [("given", request.template)]
+        found: Sequence[CloudStart] = ()
+        if not request.from_template:
+            report("flattening the cloud")
+            redundant = self.gauges.get(request.pose, ())
+            free = tuple(name for name in request.free if name not in redundant)
+            found = self.starts(request.template, free, sheets[:_SOME], request.pose)[:_FOLLOWED]
+            starts = [(start.label, start.posed(request.pose)) for start in found]
+        some = masses[:_ROUGHLY]
+        rough = Descent.of(sheets[:_ROUGHLY], some, scan.noise, np.ones(len(some)))
+        near: list[Iterate] = []
+        for label, model in starts:
+            report(f"rough steps from {label}")
+            coordinates = Coordinates.of(model, names).holding(self.held_at_first)
+            end = rough.descend(coordinates, model, _ROUGH, 3.0)
+            near.append(dataclasses.replace(end, label=label))
+        near.sort(key=lambda end: end.chi2)
+        ends: list[Iterate] = []
+        for start in near:
+            if start.chi2 - near[0].chi2 < _HOPELESS * len(rough.cloud.data.points):
+                report(f"polishing from {start.label}")
+                with stage("polishing"):
+                    ends.append(_settled(Coordinates.of(start.model, names), start, scan))
+        ends.sort(key=lambda end: end.chi2)
+        if found:
+            by_label = {start.label: start for start in found}
+            labels = self.labels([by_label[end.label] for end in ends])
+            ends = [dataclasses.replace(e, label=x) for e, x in zip(ends, labels, strict=True)]
+        ends = [self._in_target(end, names, frame, order) for end in ends]
+        coordinates = Coordinates.of(ends[0].model, names)
+        return [with_all_points(coordinates, ends[0], 0, request.cloud), *ends[1:]]
+
+    def _in_target(
+        self, end: Iterate, names: tuple[str, ...], frame: NormalisedFrame, order: np.ndarray
+    ) -> Iterate:
+        """An end in the target's frame and unit, its points in the target's order."""
+        back = np.argsort(order)
+        (seen,) = end.residuals
+        assert seen.uv is not None
+        seen = seen._replace(
+            distance=seen.distance[back], weights=seen.weights[back], uv=seen.uv[back]
+        )
+        end = dataclasses.replace(end, residuals=(frame.measured(seen),))
+        if not isinstance(end.model, Posed):
+            return end
+        end = dataclasses.replace(end, model=frame.back(end.model))
+        return self.standard_form(end, names)
+
+
+def _descended(
+    coordinates: Coordinates, model: AbstractSurface, scan: Scan, held: float = HELD
+) -> Iterate:
+    """Steps from a model; where points may be outliers, some more whenever others turn out to be."""
+    points, weights, members = scan.points, scan.weights, scan.likely.astype(float)
+    descent = Descent.of(points, weights, scan.noise, members)
+    end = descent.descend(coordinates, model, _FINE, _SETTLED, held)
+    if scan.background is None:
+        return end
+    clearings, rounds = 0, end.rounds
+    while True:
+        model, clearings = end.model, clearings + 1
+        beside = descent.cloud.beside(coordinates, coordinates.inverse(model), terms_of(end)[0])
+        found = scan.background.mixture(model, *beside, weights, scan.noise)
+        changed, members = float(np.mean(np.abs(found.members - members))), found.members
+        descent = Descent.of(points, weights, scan.noise, members)
+        end = descent.descend(coordinates, model, _AGAIN, _SETTLED)
+        rounds += end.rounds
+        if changed < _UNCHANGED or clearings == _CLEARINGS:
+            return dataclasses.replace(end, rounds=rounds, mixture=found)
+
+
+def _settled(coordinates: Coordinates, start: Iterate, scan: Scan) -> Iterate:
+    """The end of a start, on ever more points."""
+    number, model = 0, start.model
+    if len(scan.points) > 2 * _SOME:
+        near = _descended(coordinates, model, scan.first(_SOME))
+        model, number = near.model, near.rounds
+    end = _descended(coordinates, model, scan)
+    if float(terms_of(end)[0].sigma) > _FAR * np.linalg.norm(np.ptp(scan.points, axis=0)):
+        # Shorter steps may lead around what this one fell into.
+        other = _descended(coordinates, model, scan, HELD_BACK)
+        end = min(end, other, key=lambda end: end.chi2)
+    end = dataclasses.replace(end, rounds=number + end.rounds)
+    cloud = terms_of(end)[0]
+    alone = dataclasses.replace(end, terms=(cloud,))
+    settled = without_bias(coordinates, start.label, [ObservedCloud(cloud.data)], alone)
+    (seen,) = settled.residuals
+    assert seen.uv is not None
+    n = len(scan.points)
+    seen = seen._replace(distance=seen.distance[:n], weights=seen.weights[:n], uv=seen.uv[:n])
+    settled = dataclasses.replace(settled, residuals=(seen,))
+    return settled if settled.mixture is None else likelier(settled)
+
+
+def turned_over(
+    end: Iterate, names: tuple[str, ...], over: AbstractSurface, sided: tuple[str, ...]
+) -> Iterate:
+    """An end by the numbers of the surface turned over, which is the same one in space.
+
+    Args:
+        end: An end in an unknown pose; a half turn about its y axis turns the surface over.
+        names: All that is free.
+        over: The surface turned over, in its own frame.
+        sided: The parameters that change their signs. Those of the pose, which is a nuisance to them,
+            may keep theirs.
+    """
+    model = end.model
+    assert isinstance(model, Posed)
+    rotation = np.asarray(model.rotation) @ np.diag([-1.0, 1.0, -1.0])
+    signs = np.where(np.isin(names, sided), -1.0, 1.0)
+    both = np.outer(signs, signs)
+    (seen,) = end.residuals
+    assert seen.uv is not None
+    seen = seen._replace(distance=-seen.distance, uv=seen.uv * [-1.0, 1.0])
+    return dataclasses.replace(
+        end,
+        model=Posed(in_doubles(over), rotation, model.origin, model.unit),
+        information=end.information * both,
+        score_covariance=end.score_covariance * both,
+        residuals=(seen,),
+    )

@@ -1,0 +1,222 @@
+"""The family of peony petals, Eqs. 7 and 8, in any pose and with every loss."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
+from typing import ClassVar, cast
+
+import numpy as np
+
+from petalfit.components import PeonyPetal, Posed
+from petalfit.fitting.coordinates import Coordinates, Prior, in_doubles, with_values
+from petalfit.fitting.families.family import EVERY_POSE, AbstractFamily
+from petalfit.fitting.families.peony.known import known_starts
+from petalfit.fitting.families.peony.outlines import ribbed_starts
+from petalfit.fitting.families.peony.pose import Placed, placed_petals
+from petalfit.fitting.families.peony.ribs import (
+    RIBS,
+    RibBasin,
+    close,
+    explaining,
+    ribs_beside,
+    with_ribs,
+)
+from petalfit.fitting.families.polish import START_POINTS, follow, polished
+from petalfit.fitting.likelihood.cloud import ObservedCloud, pad
+from petalfit.fitting.likelihood.views import ObservedViews
+from petalfit.fitting.outliers.annealing import approach, term_of
+from petalfit.fitting.outliers.robust import Clutter
+from petalfit.fitting.outliers.scan import Scan
+from petalfit.fitting.request.request import Request, scan_of
+from petalfit.fitting.solver.all_points import with_all_points
+from petalfit.fitting.solver.iterate import Iterate
+from petalfit.fitting.solver.observer import report
+from petalfit.fitting.starts.frame import NormalisedFrame
+from petalfit.surfaces import AbstractSurface, Pose, turn_between
+
+_APPROACH_POINTS = 2048
+# Gain in χ² of ribs in what a right end leaves: by chance alone, the best of 200 frequencies has 10.
+_RIBS_LEFT = 20.0
+# Poses that are tried at first, and along the normal of the best of these; more in an unknown unit or
+# among outliers.
+_TRIED, _TRIED_IN_DOUBT = (3, 0), (4, 3)
+# Poses whose logarithm of the likelihood is worse by more than this part of the points are not followed.
+_HOPELESS = 0.05
+_SAME_TURN = 0.1  # rad
+_FEWEST = 64  # points from which a plane and an outline can be told
+_TYPICAL_EXTENT = 10.0  # root mean square distance of a petal's points from their middle
+
+
+class PeonyFamily(AbstractFamily):
+    """Peony petals: outline, heights and ribs are found one after the other."""
+
+    kind: ClassVar[type[AbstractSurface]] = PeonyPetal
+    poses: ClassVar[tuple[str, ...]] = EVERY_POSE
+    # Where a petal lies along its normal is the pose's to say.
+    gauges: ClassVar[Mapping[str, tuple[str, ...]]] = {"rigid": ("c_z",), "similarity": ("c_z",)}
+    is_petal: ClassVar[bool] = True
+
+    def fit_cloud(self, request: Request) -> list[Iterate]:
+        used = request.cloud.mass > 0
+        frame = NormalisedFrame.of(request.cloud.points[used], request.pose)
+        if request.pose == "similarity":
+            # As large as petals usually are in the model's unit.
+            frame = dataclasses.replace(frame, unit=frame.unit / _TYPICAL_EXTENT)
+        scan, _ = scan_of(request, frame, False)
+        names = self.free_in(request.pose, request.free)
+        if request.pose == "known":
+            coordinates = Coordinates.of(request.template, names)
+            ends = _from_known(coordinates, scan, request.from_template)
+        else:
+            redundant = self.gauges[request.pose]
+            free = tuple(name for name in request.free if name not in redundant)
+            template = cast(PeonyPetal, request.template)
+            found = _from_anywhere(template, free, request.pose, scan)
+            ends = [_in_target(end, frame) for end in found]
+        best, *others = ends
+        coordinates = Coordinates.of(best.model, names)
+        return [with_all_points(coordinates, best, 0, request.cloud), *others]
+
+    def rough(self, coordinates: Coordinates) -> Coordinates:
+        """Coordinates of a petal without ribs, if they are free."""
+        if "rib_amplitude" not in coordinates.free:
+            return coordinates
+        smooth = with_values(coordinates.template, {"rib_amplitude": 0.0})
+        return coordinates.around(smooth).holding(RIBS)
+
+    def refined(
+        self,
+        coordinates: Coordinates,
+        rough: AbstractSurface,
+        clouds: Sequence[ObservedCloud],
+        views: ObservedViews,
+    ) -> Iterator[tuple[str, AbstractSurface]]:
+        held = self.rough(coordinates)
+        if held is not coordinates:
+            yield from ribbed_starts(coordinates, held, rough, clouds, views)
+
+
+def _in_target(end: Iterate, frame: NormalisedFrame) -> Iterate:
+    """An end in the target's frame and unit."""
+    (seen,) = end.residuals
+    model = frame.back(cast(Posed, end.model))
+    return dataclasses.replace(end, model=model, residuals=(frame.measured(seen),))
+
+
+def _from_known(coordinates: Coordinates, scan: Scan, from_template: bool) -> list[Iterate]:
+    """Ends in the cloud's own frame."""
+    starts: Iterator[tuple[str, AbstractSurface]] | list[tuple[str, AbstractSurface]]
+    starts = known_starts(coordinates, scan)
+    if from_template:
+        starts = [("given", coordinates.template)]
+
+    def settle(label: str, model: AbstractSurface, prior: Prior | None) -> Iterate:
+        return polished(scan, coordinates, label, model, prior)
+
+    return follow(coordinates, starts, settle)
+
+
+def _from_anywhere(
+    template: PeonyPetal, free: tuple[str, ...], pose: str, scan: Scan
+) -> list[Iterate]:
+    """Ends of the poses that the cloud leaves open."""
+    names = (*free, *Posed.free_in(pose))
+    report("searching the pose")
+    likely = scan.points[scan.some(START_POINTS)]
+    smooth = template
+    if "rib_amplitude" in free:
+        smooth = with_values(template, {"rib_amplitude": 0.0})
+    placed = placed_petals(smooth, free, likely, pose)
+    some = scan.order[:_APPROACH_POINTS]
+    points, weights = scan.points[some], scan.weights[some]
+    background = scan.background or Clutter.around(scan.points)
+
+    def approached(start: Placed) -> Iterate:
+        posed = Posed(
+            in_doubles(start.petal), start.rotation, start.translation, np.float64(start.unit)
+        )
+        held = Coordinates.of(posed, names).holding(RIBS)
+        return approach(held, background, posed, points, weights, scan.likely[some])
+
+    found: list[Iterate] = []
+    easy = pose == "rigid" and scan.background is None
+    at_first, again = _TRIED if easy else _TRIED_IN_DOUBT
+    for k, start in enumerate(placed[:at_first]):
+        report(f"approaching from pose {k + 1}")
+        found.append(approached(start))
+    best = max(found, key=_likelihood)
+    members = _members(best)
+    if again and np.count_nonzero(members > 0.5) > _FEWEST:
+        report("searching again along its normal")
+        inside = points[members > 0.5][:START_POINTS]
+        placed = placed_petals(smooth, free, inside, pose, np.asarray(_placement(best).rotation))
+        found += map(approached, placed[:again])
+    found.sort(key=_likelihood, reverse=True)
+    ends: list[Iterate] = []
+    for k, near in enumerate(found):
+        lead = _likelihood(found[0]) - _likelihood(near)
+        turned = [
+            turn_between(_placement(near).rotation, _placement(other).rotation)
+            for other in found[:k]
+        ]
+        if lead > _HOPELESS * len(points) or any(turn < _SAME_TURN for turn in turned):
+            continue
+        ends += _polished_poses(template, names, scan, near, f"pose {k + 1}")
+    return sorted(ends, key=lambda end: end.chi2)
+
+
+def _polished_poses(
+    template: PeonyPetal, names: tuple[str, ...], scan: Scan, near: Iterate, label: str
+) -> list[Iterate]:
+    """Ends of one pose, one for each rib frequency that the cloud leaves open."""
+    smooth = cast(Posed, near.model)
+    coordinates = Coordinates.of(smooth.at_rest(in_doubles(template)), names)
+    smooth = smooth.at_rest(in_doubles(smooth.surface))
+    term = term_of(near)
+    ends: list[Iterate] = []
+
+    def labelled(basin: RibBasin) -> tuple[str, AbstractSurface]:
+        name, model = with_ribs(smooth, basin)
+        return f"{label}, {name}", model
+
+    def starts() -> Iterator[tuple[str, AbstractSurface]]:
+        if not set(RIBS) & set(names):
+            yield f"{label}, smooth", smooth
+            return
+        basins = ribs_beside(coordinates, smooth, ObservedCloud(term.data), term)
+        # Among outliers a periodogram tells less: there all of them are followed.
+        first = close(basins) if scan.background is None else basins
+        yield from map(labelled, first)
+        rest = basins[len(first) :]
+        # Beside a smooth petal that is not quite the right one, ribs may seem to have another frequency.
+        if rest and _ribs_left(coordinates, scan, min(ends, key=lambda end: end.chi2)):
+            yield from map(labelled, rest)
+
+    def settle(name: str, model: AbstractSurface, prior: Prior | None) -> Iterate:
+        ends.append(polished(scan, coordinates, name, model, prior))
+        return ends[-1]
+
+    return follow(coordinates, starts(), settle)
+
+
+def _ribs_left(coordinates: Coordinates, scan: Scan, end: Iterate) -> bool:
+    """Whether other ribs would explain what an end leaves: then its own are the wrong ones."""
+    (seen,) = end.residuals
+    assert seen.uv is not None
+    data = pad(scan.points, np.asarray(seen.weights)[: len(scan.points)], seen.noise)
+    return explaining(coordinates.around(end.model), data, seen.uv)[0].gain > _RIBS_LEFT
+
+
+def _likelihood(near: Iterate) -> float:
+    assert near.mixture is not None
+    return near.mixture.log_likelihood
+
+
+def _members(near: Iterate) -> np.ndarray:
+    assert near.mixture is not None
+    return near.mixture.members
+
+
+def _placement(near: Iterate) -> Pose:
+    return cast(Posed, near.model).placement

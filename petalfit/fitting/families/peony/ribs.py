@@ -1,0 +1,165 @@
+"""Ribs of peony petals: a periodogram finds all frequencies that a cloud or an outline leaves open.
+
+The cost has many basins along the rib frequency. What distances to a petal without ribs leave is
+compared with ribs of every frequency at once.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from jaxtyping import Array, Float
+
+from petalfit.components import PeonyPetal, Posed
+from petalfit.fitting.coordinates import Coordinates, with_values
+from petalfit.fitting.likelihood import programs
+from petalfit.fitting.likelihood.cloud import ObservedCloud
+from petalfit.residuals import AbstractTerm, Data
+from petalfit.surfaces import AbstractSurface, value_at
+
+Surface = TypeVar("Surface", bound=AbstractSurface)
+assert PeonyPetal.oscillation is not None
+RIBS = PeonyPetal.oscillation.names
+FREQUENCIES = np.arange(2.0, 56.0, 0.25)
+_BASINS = 3
+
+
+class RibBasin(NamedTuple):
+    """A peak of the periodogram.
+
+    Attributes:
+        frequency: rib_frequency there.
+        amplitude: Its rib_amplitude by linear least squares.
+        gain: How much it lowers χ².
+    """
+
+    frequency: float
+    amplitude: float
+    gain: float
+
+
+# Rivals of the best rib frequency are followed if the periodogram prefers it by less than this in χ².
+_CLEAR_LEAD = 50.0
+
+
+def close(basins: list[RibBasin]) -> list[RibBasin]:
+    """The best of them, which is the first, and its rivals."""
+    return [basin for basin in basins if basins[0].gain - basin.gain <= _CLEAR_LEAD]
+
+
+def rib_periodogram(
+    frequency: float | None,
+    distance: Float[np.ndarray, " n"],
+    slope: Float[np.ndarray, " n"],
+    weights: Float[np.ndarray, " n"],
+    uv: Float[np.ndarray, "n 2"],
+    slopes: Float[np.ndarray, "n p"],
+) -> list[RibBasin]:
+    """Frequencies that explain best the normal distances to a petal without ribs, the best first.
+
+    Args:
+        frequency: The only one to look at, if it is known.
+        distance: Normal distances of the cloud to the petal.
+        slope: How much of a height the distance is: the normal's part along the petal's z axis.
+        weights: Weight of every point.
+        uv: Foot points.
+        slopes: Of the distance, by the petal's other parameters, which are free to follow.
+
+    Returns:
+        From one to three peaks.
+    """
+    # The midrib's flanks are steep: there a small shift of u is a large distance.
+    scale = np.sum(weights * np.abs(distance)) / np.sum(weights) + 1e-300
+    robust = weights / (1 + (distance / (3 * scale)) ** 2)
+    frequencies = FREQUENCIES if frequency is None else np.array([frequency])
+    root = np.sqrt(robust)
+    waves, rest = root * slope * rib_waves(uv, frequencies), root * distance
+    # What the other parameters can explain is not for the ribs to explain.
+    basis = np.linalg.qr(root[:, None] * slopes)[0]
+    waves, rest = waves - (waves @ basis) @ basis.T, rest - basis @ (basis.T @ rest)
+    covariance, power = waves @ rest, np.sum(waves**2, axis=1) + 1e-300
+    left = np.sum(rest**2) - np.max(covariance**2 / power)
+    variance = max(left / np.sum(robust), 1e-300)
+    return rib_basins(frequencies, covariance, power, variance)
+
+
+def rib_waves(
+    uv: Float[np.ndarray, "n 2"], frequencies: Float[np.ndarray, " f"]
+) -> Float[np.ndarray, "f n"]:
+    """Heights of ribs of amplitude 1, Eq. 8."""
+    u, v = uv.T
+    envelope = (1 - 2 * np.abs(v - 0.5)) * (1 - 2 * np.abs(u))
+    return envelope * np.sin(np.outer(frequencies, (u + 0.5) * np.pi))
+
+
+def rib_basins(
+    frequencies: Float[np.ndarray, " f"],
+    covariance: Float[np.ndarray, " f"],
+    power: Float[np.ndarray, " f"],
+    variance: float,
+) -> list[RibBasin]:
+    """Peaks of a periodogram, the best first, from one to three.
+
+    Args:
+        frequencies: At even distances, or a single one.
+        covariance: Of the ribs with what they are to explain.
+        power: Of the ribs.
+        variance: Of the noise, in whose units the gain is.
+    """
+    amplitude, gain = covariance / power, covariance**2 / power
+    before, after = np.append(0.0, gain[:-1]), np.append(gain[1:], 0.0)
+    peaks = np.flatnonzero((gain >= before) & (gain > after))
+    # Where no distance is left to explain there is no peak, and any frequency will do.
+    peaks = peaks[np.argsort(-gain[peaks])][:_BASINS] if len(peaks) else [int(np.argmax(gain))]
+    # The vertex of a parabola through a peak and its neighbours.
+    curvature = before + after - 2 * gain
+    vertex = 0.5 * (before - after) / np.where(curvature < 0, curvature, np.inf)
+    step = frequencies[1] - frequencies[0] if len(frequencies) > 1 else 0.0
+    return [
+        RibBasin(
+            float(frequencies[k] + step * np.clip(vertex[k], -0.5, 0.5)),
+            float(amplitude[k]),
+            float(gain[k] / variance),
+        )
+        for k in peaks
+    ]
+
+
+def ribs_beside(
+    coordinates: Coordinates[Surface],
+    smooth: Surface,
+    cloud: ObservedCloud,
+    term: AbstractTerm | None = None,
+) -> list[RibBasin]:
+    """Ribs that a cloud's distances to a petal without any speak for, the best first."""
+    held = coordinates.holding(RIBS).around(smooth)
+    return explaining(held, cloud.data, cloud.match(smooth, term).uv)
+
+
+def with_ribs(smooth: Surface, basin: RibBasin) -> tuple[str, Surface]:
+    """A petal without ribs with those of a basin, and a label for it."""
+    ribs = {"rib_frequency": basin.frequency, "rib_amplitude": basin.amplitude}
+    return f"rib_frequency {basin.frequency:.2f}", with_values(smooth, ribs)
+
+
+def explaining(
+    coordinates: Coordinates, data: Data, uv: Float[Array | np.ndarray, "n 2"]
+) -> list[RibBasin]:
+    """Ribs that explain the distances of points to the coordinates' petal, which is free to follow."""
+    petal = coordinates.template
+    seen = programs.linearise(coordinates, data, coordinates.inverse(petal), uv)
+    fixed = "rib_frequency" not in coordinates.free
+    # Ribs rise along the petal's own z axis.
+    up, unit = np.array([0.0, 0.0, 1.0]), 1.0
+    if isinstance(petal, Posed):
+        place = petal.placement
+        up, unit = np.asarray(place.rotation)[:, 2], float(place.scale)
+    return rib_periodogram(
+        float(value_at(petal, "rib_frequency")) if fixed else None,
+        np.asarray(seen.distance) / unit,
+        np.asarray(seen.normal) @ up,
+        np.asarray(data.weights),
+        np.asarray(uv),
+        np.asarray(seen.slopes)[:, coordinates.active > 0],
+    )

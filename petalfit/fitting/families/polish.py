@@ -1,0 +1,111 @@
+"""From starts to ends: every start is polished on all points, and the ends are compared."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from petalfit.compilation import stage
+from petalfit.fitting.coordinates import Coordinates, Prior
+from petalfit.fitting.inference.pinning import pinned
+from petalfit.fitting.likelihood.cloud import ObservedCloud, pad
+from petalfit.fitting.likelihood.foot_points import guess_foot_points
+from petalfit.fitting.outliers.annealing import clear, term_of
+from petalfit.fitting.outliers.scan import Scan
+from petalfit.fitting.solver.alternate import minimise
+from petalfit.fitting.solver.debias import without_bias
+from petalfit.fitting.solver.iterate import Iterate
+from petalfit.fitting.solver.observer import report
+from petalfit.surfaces import AbstractSurface
+
+# Points that a start is found with. Enough for the ribs, which are fine; and small clouds are fitted
+# with programs of a single size.
+START_POINTS = 1536
+_ROUNDS = 30
+_TOLERANCE = 1e-2  # standard errors
+
+
+def follow(
+    coordinates: Coordinates,
+    starts: Iterable[tuple[str, AbstractSurface]],
+    settle: Callable[[str, AbstractSurface, Prior | None], Iterate],
+) -> list[Iterate]:
+    """The ends of starts, the best first; in that, what is not determined keeps the template's values.
+
+    Args:
+        coordinates: The free parameters.
+        starts: The starts, with their labels.
+        settle: Finds the end of a start, given what is known besides.
+    """
+    ends = []
+    for label, model in starts:
+        report(f"polishing from {label}")
+        with stage("polishing"):
+            ends.append(settle(label, model, None))
+    best, *others = sorted(ends, key=lambda end: end.chi2)
+
+    def again(model: AbstractSurface, prior: Prior) -> Iterate:
+        return settle(best.label, model, prior)
+
+    with stage("polishing"):
+        return [pinned(coordinates, best, again), *others]
+
+
+def polished(
+    scan: Scan,
+    coordinates: Coordinates,
+    label: str,
+    model: AbstractSurface,
+    prior: Prior | None,
+) -> Iterate:
+    """The end of a start, polished on ever more points.
+
+    Each stage starts within a few standard errors of its end.
+    """
+    if len(scan.order) > 2 * START_POINTS:
+        some = scan.order[:START_POINTS]
+        model = _polished_on(scan, coordinates, model, some, 10, 0.1, prior)[0].model
+    end, weights = _polished_on(
+        scan, coordinates, model, np.arange(len(scan.points)), _ROUNDS, _TOLERANCE, prior
+    )
+    cloud = ObservedCloud.of(scan.points, weights, scan.noise, scan.order)
+    end = without_bias(coordinates, label, [cloud], end, prior)
+    return end if end.mixture is None else likelier(end)
+
+
+def likelier(end: Iterate) -> Iterate:
+    """An end among outliers, compared with others by the likelihood of its mixture."""
+    assert end.mixture is not None
+    return dataclasses.replace(end, chi2=-2 * end.mixture.log_likelihood)
+
+
+def _polished_on(
+    scan: Scan,
+    coordinates: Coordinates,
+    model: AbstractSurface,
+    some: np.ndarray,
+    rounds: int,
+    tolerance: float,
+    prior: Prior | None,
+) -> tuple[Iterate, np.ndarray]:
+    """Where the solver stops on some points, and their weights there."""
+    points, weights, mixture = scan.points[some], scan.weights[some], None
+    if scan.background is not None:
+        near = clear(coordinates, scan.background, model, points, weights, scan.noise, prior)
+        mixture = near.mixture
+        assert mixture is not None
+        members = weights * mixture.members
+        if np.sum(members) >= len(coordinates.free):
+            return near, members
+        # No points are left that belong to it: how far it is from all of them is then the result.
+        model, rounds = near.model, 1
+    cloud = ObservedCloud(pad(points, weights, scan.noise))
+    start = cloud.at(guess_foot_points(model, cloud.data.points))
+    end = minimise(coordinates, [cloud], model, [start], rounds, tolerance, prior)
+    again = cloud.rematched(end.model, term_of(end))
+    if again is not None:
+        more = minimise(coordinates, [cloud], end.model, [again], rounds, tolerance, prior)
+        end = dataclasses.replace(more, rounds=end.rounds + more.rounds)
+    return dataclasses.replace(end, mixture=mixture), weights

@@ -1,0 +1,168 @@
+"""Which parameters the observations determine, judged by information against the typical ranges."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from petalfit.components import Parameter, Posed, parameters
+from petalfit.fitting.solver.iterate import Iterate
+from petalfit.results import CLEAR_LEAD, FitWarning, WarningKind
+from petalfit.surfaces import AbstractSurface, value_at
+
+# A parameter is determined if its standard error is below this many standard deviations of its
+# typical range, taken as uniform.
+DETERMINED = 0.3
+_ALONE = DETERMINED / 2  # the same, if the others were known
+
+
+def sizes(model: AbstractSurface) -> list[str]:
+    """Parameters that grow with the model: lengths that are positive."""
+    return [n for n, p in parameters(model).items() if p.unit == "length" and p.bounds[0] > 0]
+
+
+def typical_spread(
+    names: Sequence[str], declared: Mapping[str, Parameter]
+) -> Float[np.ndarray, " p"]:
+    """Standard deviations of the typical ranges, taken as uniform."""
+    return np.array([np.ptp(declared[name].typical) for name in names]) / np.sqrt(12)
+
+
+def known_alone(
+    end: Iterate, names: Sequence[str], declared: Mapping[str, Parameter]
+) -> Bool[np.ndarray, " p"]:
+    """Whether each parameter is determined, by the information where the fit ended."""
+    spread = typical_spread(names, declared)
+    scales = np.outer(spread, spread)
+    # With the typical ranges as priors nothing is singular; a standard error of q becomes q/√(1 + q²).
+    identity = np.eye(len(names))
+    inverse = np.linalg.inv(end.information * scales + identity)
+    posterior = np.sqrt(np.diag(inverse @ (end.score_covariance * scales + identity) @ inverse))
+    return posterior < DETERMINED / np.sqrt(1 + DETERMINED**2)
+
+
+def known_if_others_were(
+    end: Iterate, names: Sequence[str], declared: Mapping[str, Parameter]
+) -> Bool[np.ndarray, " p"]:
+    """Whether each parameter would clearly be determined if all others were known."""
+    spread = typical_spread(names, declared)
+    return np.diag(end.information) * spread**2 > _ALONE**-2
+
+
+def known(
+    ends: Sequence[Iterate], names: Sequence[str], declared: Mapping[str, Parameter]
+) -> Bool[np.ndarray, " p"]:
+    """Whether each parameter is determined, rival ends considered."""
+    found = known_alone(ends[0], names, declared)
+    for name in [*_doubtful_waves(names, found, ends), *_doubtful_sizes(names, ends)]:
+        found[names.index(name)] = False
+    return found
+
+
+def covariance(
+    ends: Sequence[Iterate], names: Sequence[str], declared: Mapping[str, Parameter]
+) -> tuple[Float[np.ndarray, "p p"], Bool[np.ndarray, " p"]]:
+    """The covariance of the parameters, and which of them are determined.
+
+    What is not determined gets infinite rows and columns; for the errors of the others it is left
+    free within its typical range.
+    """
+    found = known(ends, names, declared)
+    spread = typical_spread(names, declared)
+    scales = np.outer(spread, spread)
+    prior = np.diag(np.where(found, 0.0, 1.0))
+    inverse = np.linalg.inv(ends[0].information * scales + prior)
+    matrix = inverse @ (ends[0].score_covariance * scales + prior) @ inverse
+    return np.where(np.outer(found, found), matrix * scales, np.inf), found
+
+
+def _nearly_as_good(ends: Sequence[Iterate]) -> list[Iterate]:
+    """Other ends that explain the observations almost as well as the first."""
+    return [end for end in ends[1:] if end.chi2 - ends[0].chi2 < CLEAR_LEAD]
+
+
+def _doubtful_waves(names: Sequence[str], found: np.ndarray, ends: Sequence[Iterate]) -> list[str]:
+    """Parameters of an oscillation that the local information is too sure of.
+
+    Waves that are not there have no frequency, whatever the curvature of the cost says; and where
+    another frequency fits almost as well, neither is known, nor how high the waves are.
+    """
+    waves = getattr(ends[0].model, "oscillation", None)  # a pattern of colours has none
+    if waves is None or waves.frequency not in names:
+        return []
+    own = [name for name in waves.names if name in names]
+
+    def frequency(end: Iterate) -> float:
+        return float(value_at(end.model, waves.frequency))
+
+    if any(abs(frequency(end) - frequency(ends[0])) > 0.5 for end in _nearly_as_good(ends)):
+        return own
+    return [waves.frequency] if not found[names.index(own[-1])] else []
+
+
+def _has_unknown_scale(end: Iterate, names: Sequence[str]) -> bool:
+    """Whether a pose's scale is free; a component may have a parameter of that name too."""
+    posed = isinstance(end.model, Posed)
+    return posed and "scale" in names and "scale" not in parameters(end.model.surface)
+
+
+def _doubtful_sizes(names: Sequence[str], ends: Sequence[Iterate]) -> list[str]:
+    """The scale and the lengths that go with it, if another scale explains the view almost as well."""
+    if not _has_unknown_scale(ends[0], names):
+        return []
+    best = float(ends[0].model.scale)
+    if any(abs(float(end.model.scale) / best - 1) > 0.03 for end in _nearly_as_good(ends)):
+        return [name for name in ("scale", *sizes(ends[0].model)) if name in names]
+    return []
+
+
+def combinations(
+    end: Iterate,
+    names: Sequence[str],
+    declared: Mapping[str, Parameter],
+    found: Bool[np.ndarray, " p"],
+) -> list[FitWarning]:
+    """Warnings on parameters of which only a combination is determined, by the information matrix."""
+    spread = typical_spread(names, declared)
+    information = end.information * np.outer(spread, spread)
+    alone = known_if_others_were(end, names, declared)
+    eigenvalues, vectors = np.linalg.eigh(information)
+    warnings: list[FitWarning] = []
+    scaled = _has_unknown_scale(end, names)
+    if scaled and not found[names.index("scale")]:
+        seen = [n for n, yes in zip(names, ~found & alone, strict=True) if yes]
+        lengths = [n for n in sizes(end.model) if n in seen]
+        warnings += [_combined([name, "scale"], "as a product") for name in lengths]
+    for direction in vectors[:, eigenvalues < DETERMINED**-2].T:
+        members = np.flatnonzero(~found & alone & (np.abs(direction) > 0.1)).tolist()
+        if len(members) < 2:
+            continue
+        values = np.array([float(value_at(end.model, names[k])) for k in members])
+        relative = direction[members] * spread[members] / np.where(values == 0, np.inf, values)
+        words = [names[k] for k in members]
+        if scaled and "scale" in words:
+            scale = words.index("scale")
+            for k, word in enumerate(words):
+                if k != scale:
+                    kind = _kind_of_pair(relative[k], relative[scale])
+                    warnings.append(_combined([word, "scale"], kind))
+        else:
+            kind = _kind_of_pair(*relative) if len(words) == 2 else "in combination"
+            warnings.append(_combined(words, kind))
+    return [*dict.fromkeys(warnings)]
+
+
+def _combined(words: Sequence[str], kind: str) -> FitWarning:
+    text = f"{', '.join(words[:-1])} and {words[-1]} are determined only {kind}"
+    return FitWarning(text, WarningKind.COMBINATION, words)
+
+
+def _kind_of_pair(a: float, b: float) -> str:
+    """What is known of two parameters whose relative changes a and b go together unseen."""
+    if abs(a + b) < 0.2 * max(abs(a), abs(b)):
+        return "as a product"
+    if abs(a - b) < 0.2 * max(abs(a), abs(b)):
+        return "as a ratio"
+    return "in combination"

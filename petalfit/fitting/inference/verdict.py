@@ -1,0 +1,186 @@
+"""The verdict on a fit: how it ended, and every reason to doubt it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from petalfit.components import Parameter
+from petalfit.fitting.likelihood.scales import spread_of
+from petalfit.fitting.solver.iterate import Iterate
+from petalfit.results import (
+    Agreement,
+    FitWarning,
+    Start,
+    Status,
+    WarningKind,
+    rivals,
+)
+from petalfit.surfaces import AbstractSurface, is_of_revolution
+
+# Distances of more than this fraction of a target's size are no noise.
+_MISFIT = 0.02
+# And of less, if the model had to be bent to the bounds of its parameters.
+_STRAINED_MISFIT = 0.005
+_GROSS = 6.0  # in units of the noise
+_EMPTY = 0.1
+_ROUNDING = 1e-6  # of a target's size: less is no distance
+_MOSTLY_OUTLIERS = 0.6  # of the points
+# Where foot points jump between two folds, a fit may flip for ever between two states that are nearly
+# the same: up to this many standard errors apart, that is a warning and no failure.
+_SETTLED, _FLIPS = 0.5, 0.05
+
+
+def ending(best: Iterate, finite: bool, misfits: Sequence[str], outcome: str) -> tuple[Status, str]:
+    """The status of a fit, and the reason for it in words.
+
+    Args:
+        best: The best end.
+        finite: Whether all of its numbers are finite.
+        misfits: For every target, why the surface does not follow it; empty if it does.
+        outcome: The words for a fit that converged.
+    """
+    if not finite:
+        return Status.NOT_FINITE, "the solver met values that are not finite"
+    if any(misfits):
+        return Status.MISFIT, next(filter(None, misfits))
+    if best.moved <= _SETTLED:
+        return Status.CONVERGED, outcome
+    return Status.ROUND_LIMIT, (
+        f"not converged after {best.rounds} rounds: parameters still move by "
+        f"{best.moved:.2g} standard errors"
+    )
+
+
+def misfit_of(part: Agreement, strained: bool, noise: float | None, in_space: bool) -> str:
+    """Why the surface does not follow a target; empty if it does.
+
+    Args:
+        part: The target beside the surface.
+        strained: Whether determined parameters ended at their bounds.
+        noise: The noise that was given for the clouds.
+        in_space: Whether a pose was fitted.
+    """
+    size = part.target.size
+    far = part.outliers / len(part.weights)
+    if far > _MOSTLY_OUTLIERS:
+        return f"no petal of this model fits: it is far from {100 * far:.0f} % of the points"
+    tolerable = (_STRAINED_MISFIT if strained else _MISFIT) * size
+    rms = part.rms
+    if part.unit == "px":
+        # A few places are matched across a fold, far away.
+        rms = spread_of(part.distances[part.weights > 0])
+        frame = "its camera is not where it is said to be, or it has another shape"
+        tolerable = max(0.5 * tolerable, 1.0)
+    else:
+        frame = (
+            "either it is not in the model's frame and unit (pose='known'), or it has another shape"
+        )
+        if in_space:
+            frame = "it has another shape, or is in another unit"
+        tolerable = max(tolerable, 1.5 * (noise or 0.0))
+    if rms <= tolerable:
+        return ""
+    return (
+        f"no petal of this model fits: distances are {100 * rms / size:.1f} % of the target's "
+        f"diagonal; {frame}"
+    )
+
+
+def at_bounds(
+    values: Mapping[str, float], names: Sequence[str], declared: Mapping[str, Parameter]
+) -> list[FitWarning]:
+    """A warning for each parameter that ended at a bound."""
+    found = []
+    for name in names:
+        low, high = declared[name].bounds
+        if min(values[name] - low, high - values[name]) < 0.005 * (high - low):
+            text = f"{name} ended at the bound of its range ({low:g}, {high:g})"
+            found.append(FitWarning(text, WarningKind.AT_BOUND, [name]))
+    return found
+
+
+def not_determined(identifiable: Mapping[str, bool], what: str = "target") -> list[FitWarning]:
+    """A warning for each parameter that the data do not determine."""
+    return [
+        FitWarning(f"{name} is not determined by this {what}", WarningKind.NOT_DETERMINED, [name])
+        for name, known in identifiable.items()
+        if not known
+    ]
+
+
+def flips(best: Iterate) -> list[FitWarning]:
+    """A warning if a fit that settled goes on flipping between two states."""
+    if not _FLIPS < best.moved <= _SETTLED:
+        return []
+    return [FitWarning(f"parameters flip by {best.moved:.2g} standard errors", WarningKind.FLIPS)]
+
+
+def rival_starts(
+    starts: tuple[Start, ...], stderr: Mapping[str, float], declared: Mapping[str, Parameter]
+) -> list[FitWarning]:
+    """A warning that names the rivals, if there are any."""
+    found = [f"{s.label} (Δχ² {s.delta_chi2:.1f})" for s in rivals(starts, stderr, declared)]
+    text = f"almost as good: {', '.join(found)}"
+    return [FitWarning(text, WarningKind.RIVALS)] if found else []
+
+
+def outliers(part: Agreement) -> list[str]:
+    """How many points the fit takes for outliers, if there are any."""
+    count = part.outliers
+    return [f"{count} of {len(part.weights)} points are taken for outliers"] if count else []
+
+
+def symmetries(model: AbstractSurface) -> list[str]:
+    """Turns of this surface that no target determines, and no parameter says."""
+    if not is_of_revolution(model):
+        return []
+    return ["it is a surface of revolution: no target tells how it is turned about its y axis"]
+
+
+def about_distances(part: Agreement, noise: float | None) -> list[FitWarning]:
+    """Warnings on the distances of one target in the unit of length."""
+    if part.unit != "length":
+        return []
+    used = np.abs(part.distances[part.used])
+    typical = spread_of(used)
+    found = []
+    if noise is not None and part.rms > 1.5 * noise:
+        text = f"distances are {part.rms / noise:.1f} times the given noise"
+        found.append(FitWarning(text, WarningKind.NOISE))
+    gross = int(np.count_nonzero(used > _GROSS * max(typical, 1e-12 * part.target.size)))
+    if gross:
+        text = (
+            f"{gross} points lie beyond {_GROSS:g} times the typical distance: if they are outliers, "
+            "use loss='robust'"
+        )
+        found.append(FitWarning(text, WarningKind.OUTLIERS))
+    return found
+
+
+def systematic(part: Agreement, model: AbstractSurface) -> list[FitWarning]:
+    """A warning if distances have a pattern on the surface."""
+    found = part.misfit(model.domain)
+    if found is None or part.rms < _ROUNDING * part.target.size:
+        return []
+    return found.warnings()
+
+
+def coverage(
+    model: AbstractSurface, uv: Float[np.ndarray, "n 2"], used: np.ndarray
+) -> list[FitWarning]:
+    """A warning if part of the surface has no data, seen in 4 × 4 parts of the domain."""
+    (u_low, u_high), (v_low, v_high) = model.domain
+    some = np.flatnonzero(used)
+    # Where the surface goes on, so do foot points.
+    low, high = np.array(model.domain).T
+    around = low + (uv[some] - low) % (high - low)
+    u, v = np.where(model.edges, uv[some], around).T
+    counts, *_ = np.histogram2d(u, v, bins=4, range=[[u_low, u_high], [v_low, v_high]])
+    empty = np.count_nonzero(counts == 0) / counts.size
+    if empty <= _EMPTY or len(some) < 8 * counts.size:
+        return []
+    text = f"{100 * empty:.0f} % of the surface has no data; there it is extrapolated"
+    return [FitWarning(text, WarningKind.COVERAGE)]

@@ -1,0 +1,1 @@
+"""Likelihoods: an observation beside a surface."""

@@ -1,0 +1,170 @@
+"""The likelihood of a cloud: tangent distances at its foot points."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from petalfit.compilation import bucket, pad_to
+from petalfit.fitting.coordinates import Coordinates
+from petalfit.fitting.likelihood import programs
+from petalfit.fitting.likelihood.foot_points import (
+    guess_foot_points,
+    nearer_foot_points,
+    signed_distance,
+)
+from petalfit.fitting.likelihood.observed import (
+    AbstractObserved,
+    Residuals,
+    ScoreAndInformation,
+)
+from petalfit.fitting.likelihood.scales import spread_of
+from petalfit.observations import PointCloud
+from petalfit.residuals import AbstractTerm, Data, TangentDistance, perturbation
+from petalfit.surfaces import AbstractSurface
+
+_BIAS_POINTS = 6144  # are enough to measure the bias on
+_ROUNDING = 1e-12  # of the largest coordinate: less is no distance
+_FAR = 6.0  # typical distances, beyond which a foot point may be on the wrong fold
+
+
+def pad(points: np.ndarray, weights: np.ndarray, noise: float | None) -> Data:
+    """A cloud of a bucketed size; the padding repeats the first point with weight zero."""
+    size = bucket(len(points))
+    return Data(
+        jnp.asarray(pad_to(points, size)),
+        jnp.asarray(np.concatenate([weights, np.zeros(size - len(weights))])),
+        jnp.asarray(np.nan if noise is None else float(noise)),
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class ObservedCloud(AbstractObserved):
+    """A cloud, as a solver needs it.
+
+    Attributes:
+        data: The cloud.
+        sample: A part of it that is large enough to measure the bias on; None for all of it.
+    """
+
+    data: Data
+    sample: Data | None = None
+
+    @classmethod
+    def of(
+        cls, points: np.ndarray, weights: np.ndarray, noise: float | None, order: np.ndarray
+    ) -> ObservedCloud:
+        """A cloud with a part of it, the first ones in `order`, that is enough to measure a bias on."""
+        some = order[:_BIAS_POINTS]
+        sample = None if len(order) <= _BIAS_POINTS else pad(points[some], weights[some], noise)
+        return cls(pad(points, weights, noise), sample)
+
+    @classmethod
+    def used(
+        cls, cloud: PointCloud, noise: float | None, rng: np.random.Generator
+    ) -> ObservedCloud:
+        """The points of a cloud that have a weight."""
+        weights = np.ones(len(cloud)) if cloud.weights is None else cloud.weights
+        some = weights > 0
+        order = rng.permutation(np.count_nonzero(some))
+        return cls.of(cloud.points[some], weights[some], noise, order)
+
+    def misfit(self, model: AbstractSurface) -> float:
+        """Mean logarithm of 1 + d², with d in hundredths of the cloud's extent."""
+        term = self.match(model, None)
+        distance = programs.distances(model, self.data.points, term.uv)
+        return mean_logarithm(self.data, np.asarray(distance), np.asarray(self.data.weights))
+
+    def at(self, uv: Float[Array, "n 2"]) -> TangentDistance:
+        """Its term with these foot points and the noise still to be estimated."""
+        return TangentDistance(data=self.data, uv=uv, sigma=self.data.sigma)
+
+    def match(self, model: AbstractSurface, term: AbstractTerm | None) -> TangentDistance:
+        points = self.data.points
+        if term is None:
+            return self.at(programs.refine(model, points, guess_foot_points(model, points), 2))
+        assert isinstance(term, TangentDistance)
+        uv = programs.refine(model, points, term.uv, 2)
+        return TangentDistance(data=self.data, uv=uv, sigma=term.sigma)
+
+    def information(
+        self, coordinates: Coordinates, t: np.ndarray, term: AbstractTerm
+    ) -> tuple[np.ndarray, float]:
+        assert isinstance(term, TangentDistance)
+        seen = programs.linearise(coordinates, self.data, t, term.uv)
+        return np.asarray(seen.information), float(seen.sigma)
+
+    def score_and_information(
+        self, coordinates: Coordinates, t: np.ndarray, term: AbstractTerm
+    ) -> ScoreAndInformation:
+        """With the score that noise and curvature cause; see `petalfit.residuals.curvature_bias`."""
+        assert isinstance(term, TangentDistance)
+        data, sample, model = self.data, self.sample or self.data, coordinates.model(t)
+        uv = programs.refine(model, data.points, term.uv, 1)
+        seen = programs.linearise(coordinates, data, t, uv)
+        places, position = uv, np.asarray(seen.position)
+        if sample is not data:
+            places = guess_foot_points(model, sample.points)
+            places = programs.refine(model, sample.points, places, 3)
+            position = np.asarray(programs.linearise(coordinates, sample, t, places).position)
+        noise = float(term.sigma) * perturbation(np.asarray(places))
+        weights = np.asarray(sample.weights)
+        score = np.zeros(len(t))
+        for moved in (position + noise, position - noise):
+            around = sample._replace(points=jnp.asarray(moved))
+            near = programs.refine(model, moved, places, 3, around=False)
+            blurred = programs.linearise(coordinates, around, t, near)
+            score += np.asarray(blurred.slopes).T @ (weights * np.asarray(blurred.distance)) / 2
+        share = np.sum(weights) / np.sum(np.asarray(data.weights))
+        score /= share * float(seen.sigma) ** 2
+        information = np.asarray(seen.information)
+        term = TangentDistance(data=data, uv=uv, sigma=term.sigma)
+        return ScoreAndInformation(term, information, score, information)
+
+    def residuals(
+        self, coordinates: Coordinates, t: np.ndarray, term: AbstractTerm
+    ) -> list[Residuals]:
+        assert isinstance(term, TangentDistance)
+        distance = signed_distance(*self.beside(coordinates, t, term))
+        weights = np.asarray(self.data.weights)
+        chi2 = comparable(distance, weights)
+        uv = np.asarray(term.uv)
+        return [Residuals(distance, weights, float(term.sigma), "length", chi2, uv)]
+
+    def rematched(self, model: AbstractSurface, term: TangentDistance) -> TangentDistance | None:
+        """The term in which points far beyond the typical distance have found nearer foot points.
+
+        None if there are none: neither such points, nor nearer places for them.
+        """
+        points, used = self.data.points, np.asarray(self.data.weights) > 0
+        distance = np.asarray(programs.distances(model, points, term.uv))
+        rounding = _ROUNDING * float(np.abs(np.asarray(points)).max())
+        typical = max(spread_of(distance[used]), rounding)
+        far = np.flatnonzero(used & (distance > _FAR * typical))
+        if not len(far):
+            return None
+        uv = nearer_foot_points(model, points, term.uv, far)
+        return None if uv is None else self.at(jnp.asarray(uv))
+
+    def beside(
+        self, coordinates: Coordinates, t: np.ndarray, term: TangentDistance
+    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+        """Signed normal distances, and distances beyond the edge, negative inside; padding included."""
+        seen = programs.linearise(coordinates, self.data, t, term.uv)
+        return np.asarray(seen.distance), np.max(np.asarray(seen.beyond), axis=-1)
+
+
+def mean_logarithm(data: Data, distances: np.ndarray, weights: np.ndarray) -> float:
+    """Of 1 + d², with distances d in hundredths of the cloud's extent; small where most are."""
+    extent = 0.01 * np.linalg.norm(np.ptp(np.asarray(data.points), axis=0))
+    return float(np.average(np.log1p((distances / extent) ** 2), weights=weights))
+
+
+def comparable(distances: Float[np.ndarray, " n"], weights: Float[np.ndarray, " n"]) -> float:
+    """A χ² that compares ends of one cloud: n log of the mean squared distance."""
+    total = float(np.sum(weights))
+    with np.errstate(divide="ignore"):
+        return total * float(np.log(np.sum(weights * distances**2) / total))

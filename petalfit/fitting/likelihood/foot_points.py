@@ -1,0 +1,114 @@
+"""Foot points: where to look for them first, and the distances that they give."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+from scipy.ndimage import minimum_filter
+
+from petalfit.compilation import bucket, pad_to
+from petalfit.components import Posed
+from petalfit.fitting.likelihood import programs
+from petalfit.surfaces import AbstractMap, AbstractSurface
+
+_NEARER = 0.9  # of the distance: less is no other fold
+_GRID = 129  # nodes per side, on which folds are sought
+_SOUGHT = 16  # points in doubt that are sought again, the farthest
+
+
+def guess_foot_points(
+    model: AbstractSurface, points: Float[Array | np.ndarray, "n 3"]
+) -> Float[Array, "n 2"]:
+    """(u, v) near the foot points of points, from which a search for them begins.
+
+    Of a surface that has a shadow in its plane they lie straight below or above the points: sought at
+    the nearest place of the surface itself, many would end on the wrong wave.
+    """
+    if isinstance(model, Posed) and model.surface.shadow is not None:
+        return straight_below(
+            model.surface.shadow, jnp.asarray(model.placement.into(np.asarray(points)))
+        )
+    shadow = model.shadow
+    if shadow is None:
+        return programs.refine(model, points, programs.nearest(model, points), 6)
+    return straight_below(shadow, points)
+
+
+def nearer_foot_points(
+    model: AbstractSurface,
+    points: Float[Array, "n 3"],
+    uv: Float[Array, "n 2"],
+    doubtful: Int[np.ndarray, " k"],
+) -> Float[np.ndarray, "n 2"] | None:
+    """Foot points of which those in doubt were sought again, on all folds of the surface.
+
+    Straight below a point there may be another fold than the one that it lies on, and from there no
+    step leads across. Every local minimum of the distance on a fine grid is followed.
+
+    Args:
+        model: The surface.
+        points: The points.
+        uv: Their foot points.
+        doubtful: Numbers of the points whose foot points are in doubt.
+
+    Returns:
+        All foot points, nearer ones for some of the points in doubt; None if there is none nearer.
+    """
+    surface, own = model, np.asarray(points)
+    if isinstance(model, Posed):
+        surface, own = model.surface, model.placement.into(own)
+    grid = [np.linspace(*side, _GRID) for side in surface.domain]
+    nodes = np.stack(np.meshgrid(*grid, indexing="ij"), axis=-1)
+    places = np.asarray(programs.places(surface, nodes.reshape(-1, 2))).reshape(_GRID, _GRID, 3)
+    found, moved = np.array(uv), False
+    before = np.asarray(programs.distances(surface, own, uv))
+    for k in doubtful[np.argsort(-before[doubtful])][:_SOUGHT]:
+        squared = np.sum((places - own[k]) ** 2, axis=-1)
+        minima = np.argwhere(squared == minimum_filter(squared, 3, mode="nearest"))
+        minima = minima[np.argsort(squared[tuple(minima.T)])][: len(own)]
+        # All starts of one point at a time, in arrays for which the programs are compiled already.
+        starts = pad_to(nodes[tuple(minima.T)], len(own))
+        same = np.tile(own[k], (len(own), 1))
+        ends = np.asarray(programs.refine(surface, same, starts, 12, around=False))
+        reached = np.asarray(programs.distances(surface, same, ends))
+        best = int(np.argmin(reached))
+        if reached[best] < _NEARER * before[k]:
+            found[k], moved = ends[best], True
+    return found if moved else None
+
+
+def straight_below(
+    shadow: AbstractMap, points: Float[Array | np.ndarray, "n 3"]
+) -> Float[Array, "n 2"]:
+    """(u, v) of the places in the plane z = 0 that lie straight below or above the points."""
+    below = np.asarray(points) * np.array([1.0, 1.0, 0.0])
+    return programs.refine(shadow, below, programs.nearest(shadow, below), 6)
+
+
+def signed_distance(
+    distance: Float[np.ndarray, " n"], beyond: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, " n"]:
+    """Signed distances to a surface that has edges: along the normal, or to the edge beyond it.
+
+    Args:
+        distance: Signed normal distances.
+        beyond: Distances beyond the edge, negative inside.
+    """
+    return np.copysign(np.hypot(distance, np.maximum(beyond, 0.0)), distance)
+
+
+def distances_beside(
+    surface: AbstractSurface, points: Float[np.ndarray, "n 3"]
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, "n 2"]]:
+    """Signed normal distances of points, distances beyond the edge, negative inside, and foot points.
+
+    Call it inside `jax.enable_x64(True)`.
+    """
+    padded = jnp.asarray(pad_to(points, bucket(len(points))))
+    uv = programs.refine(surface, padded, guess_foot_points(surface, padded), 3)
+    here = programs.frames(surface, uv)
+    distance = np.asarray(here.distance(padded))
+    beyond = np.max(np.asarray(here.beyond(padded)), axis=-1)
+    n = len(points)
+    return distance[:n], beyond[:n], np.asarray(uv)[:n]

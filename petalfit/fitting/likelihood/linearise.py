@@ -1,0 +1,58 @@
+"""The linearisation of a cloud's likelihood at given foot points."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from petalfit.fitting.coordinates import Coordinates
+from petalfit.residuals import Data, edge_score, estimate_sigma, frame, pull_back
+
+
+class Linearisation(NamedTuple):
+    """Distances, their derivatives by the coordinates t of the free parameters, and Fisher information.
+
+    Attributes:
+        position: S, shape (n, 3).
+        normal: Unit normals, shape (n, 3).
+        distance: Signed normal distances d, positive on the normal's side, shape (n,).
+        slopes: ∂d/∂t, shape (n, p).
+        beyond: Distances beyond the nearer u edge and v edge, negative inside, shape (n, 2).
+        sigma: Noise, given or estimated from the distances.
+        information: Fisher information of t at this noise: normal distances count by their Jacobian,
+            points near the edge by the square of their score.
+    """
+
+    position: Float[Array, "n 3"]
+    normal: Float[Array, "n 3"]
+    distance: Float[Array, " n"]
+    slopes: Float[Array, "n p"]
+    beyond: Float[Array, "n 2"]
+    sigma: Float[Array, ""]
+    information: Float[Array, "p p"]
+
+
+def linearise(
+    coordinates: Coordinates, data: Data, t: Float[Array, " p"], uv: Float[Array, "n 2"]
+) -> Linearisation:
+    """The surface at the coordinates t beside a cloud, at given foot points; see `Linearisation`."""
+    model = coordinates.model(t)
+    here = frame(model, uv)
+    distance, beyond = here.distance(data.points), here.beyond(data.points)
+    sigma = estimate_sigma(data, distance, len(t))
+    edge = jnp.sum(edge_score(beyond / sigma)[..., None] * here.conormals, axis=1)
+    pulled = pull_back(model, jnp.tile(uv, (2, 1)), -jnp.concatenate([here.normal, edge]))
+    slopes = coordinates.gather(pulled) * coordinates.slopes(t)
+    rows = slopes * (jnp.sqrt(jnp.tile(data.weights, 2)) / sigma)[:, None]
+    information = rows.T @ rows
+    return Linearisation(
+        here.position,
+        here.normal,
+        distance,
+        slopes[: len(uv)],
+        beyond,
+        sigma,
+        information,
+    )

@@ -1,0 +1,248 @@
+"""The errors that pixels cause in a contour, from pictures of the fitted model itself.
+
+A mask's contour differs from the outline by up to half a pixel, in a pattern that depends on where the
+outline runs through the grid; neighbouring places err together, and corners are cut off on one side.
+No formula for independent errors holds. So masks of the fitted model are made with the grid shifted by
+random fractions of a pixel, and their contours are matched as the target's were: the mean of the cost's
+derivative is the cause of a bias, and its covariance that of the errors. With the grid as it was, the
+simulated contour errs as the target's does, as far as the mask has no other noise: how far, the
+correlation of the two tells, and so much of it is taken off as well.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from petalfit.fitting.coordinates import Coordinates
+from petalfit.fitting.likelihood import programs
+from petalfit.fitting.likelihood.matching import Match, MatchedOutline, View, padded, rows
+from petalfit.observations import Contour, trace
+from petalfit.surfaces import AbstractSurface, Outline, coverage, outline, outline_rings
+
+_PICTURES = 32
+_RINGS = (193, 129)  # vertices of the mesh whose masks are made
+# Even a picture that repeats the target's errors does not repeat them all.
+_LEFT = 0.5
+# Residuals whose variance exceeds that of pictures by less than this fraction are the pixels' work.
+_NOISY = 0.15
+_MOST = 600  # places of a contour for the covariance of its noise
+_HALF = 1.177  # standard deviations at which a Gaussian falls to one half
+# What shows in fewer pixels of the contour than this is not resolved: its place is uncertain by half a
+# pixel in a binary mask and a tenth in one of coverage, by more than the noise, and by more still if it
+# is smaller.
+_RESOLVED = 15.0
+_BLUR = {True: 0.5, False: 0.1}
+
+
+class PixelErrors(NamedTuple):
+    """What a view's contour does to the cost, in the coordinates t.
+
+    Attributes:
+        score: Expected derivative at the truth, shape (p,).
+        score_covariance: Its covariance, shape (p, p).
+        likeness: How far a picture with the grid as it was errs as the target does, from 0 to 1.
+        noise: Standard deviation of the contour's distances that weights were computed with, in pixels.
+        time: How many pixels counted as one observation.
+    """
+
+    score: Float[np.ndarray, " p"]
+    score_covariance: Float[np.ndarray, "p p"]
+    likeness: float
+    noise: float
+    time: float
+
+
+class _Scorer(NamedTuple):
+    """Derivatives of the cost for contours matched with one outline.
+
+    Attributes:
+        model: The surface.
+        view: The target's.
+        matched: The model's outline.
+        slopes: Derivatives of the outline's places along their normals by t, pixels, shape (n, p).
+        noise: Of the contour's distances, in pixels.
+        time: How many pixels count as one observation.
+    """
+
+    model: AbstractSurface
+    view: View
+    matched: MatchedOutline
+    slopes: Float[np.ndarray, "n p"]
+    noise: float
+    time: float
+
+    def weighted(self, match: Match) -> Float[np.ndarray, " n"]:
+        """Weights of a match's rows over the variance of the noise."""
+        share = match.length * self.view.cauchy_weight(match, self.noise)
+        return share / (2 * self.time * self.noise**2)
+
+    def rows(self, match: Match) -> Float[np.ndarray, "n p"]:
+        """Derivatives of a match's distances."""
+        facing = np.sum(match.normal * self.matched.seen.normal[match.number], axis=-1)
+        return facing[:, None] * self.slopes[match.number]
+
+    def score(self, match: Match) -> Float[np.ndarray, " p"]:
+        """Derivative of half the weighted sum of squared distances."""
+        return self.rows(match).T @ (self.weighted(match) * match.distance)
+
+
+def pixel_errors(
+    coordinates: Coordinates, t: Float[np.ndarray, " p"], view: View, seed: int = 0
+) -> PixelErrors:
+    """Pictures of the model at t, compared with the target."""
+    scorer, target = _scorer(coordinates, t, view)
+    shifts = np.random.default_rng(seed).random((_PICTURES, 2))
+    same, *others = _pictures(scorer, np.concatenate([np.zeros((1, 2)), shifts]))
+    scores = np.array([scorer.score(match) for match in others])
+    mean, spread = scores.mean(axis=0), np.cov(scores.T).reshape(len(t), len(t))
+    # Distances of the outline's places, which all matches share.
+    middle = np.mean([match.distance[~match.forward] for match in others], axis=0)
+    observed = target.distance[~target.forward] - middle
+    simulated = same.distance[~same.forward] - middle
+    calm = target.length[~target.forward] / (1 + (observed / view.kernel) ** 2)
+    # What the parameters can follow may come from elsewhere: a cloud that pulls at the outline.
+    rows = np.sqrt(calm)[:, None] * scorer.rows(target)[~target.forward]
+    basis = np.linalg.qr(np.concatenate([rows, 1e-3 * np.eye(len(t))]))[0][: len(rows)]
+    one, other = (np.sqrt(calm) * distance for distance in (simulated, observed))
+    one = one - basis @ (basis.T @ one)
+    likeness = float(np.clip(one @ other / (one @ one + 1e-300), 0.0, 1.0))
+    expected = np.mean([_variance(match) for match in others])
+    excess = max(0.0, 1 - float(expected) / max(_variance(target), 1e-300))
+    spread = max(1 - likeness**2, _LEFT) * spread
+    if excess > _NOISY:
+        spread = spread + _of_noise(scorer, target, excess)
+    spread = spread + _unresolved(scorer, target)
+    return PixelErrors(mean, spread, likeness, scorer.noise, scorer.time)
+
+
+def repeated(
+    coordinates: Coordinates, t: Float[np.ndarray, " p"], view: View, errors: PixelErrors
+) -> Float[np.ndarray, " p"]:
+    """What a picture of the model at t, with the grid as it was, has more of a score than the target.
+
+    It is zero where the picture's contour is the target's, up to what the parameters cannot follow.
+    """
+    scorer, target = _scorer(coordinates, t, view, errors.noise, errors.time)
+    (same,) = _pictures(scorer, np.zeros((1, 2)))
+    return errors.likeness * (scorer.score(same) - scorer.score(target))
+
+
+def _scorer(
+    coordinates: Coordinates,
+    t: np.ndarray,
+    view: View,
+    noise: float | None = None,
+    time: float | None = None,
+) -> tuple[_Scorer, Match]:
+    model = coordinates.model(t)
+    seen = outline(model, view.contour.camera)
+    matched = MatchedOutline.of(view, seen)
+    target = matched.match(view)
+    slopes = _slopes(coordinates, t, view.contour, seen)
+    noise = noise or view.noise(target)
+    return _Scorer(
+        model, view, matched, slopes, noise, time or view.correlated(target, noise)
+    ), target
+
+
+def _slopes(coordinates: Coordinates, t: np.ndarray, contour: Contour, seen: Outline) -> np.ndarray:
+    count = len(seen.uv)
+    every = np.arange(count)
+    match = Match(seen.uv, seen.place, seen.normal, seen.place, seen.length, every >= 0, every)
+    term = padded([rows(contour, match, np.ones(count))])
+    return np.asarray(programs.contour_slopes(coordinates, t, term))[:count]
+
+
+def _pictures(scorer: _Scorer, shifts: np.ndarray) -> list[Match]:
+    """Matches of contours whose grid is shifted; only the part of the image that the model covers."""
+    view, contour = scorer.view, scorer.view.contour
+    rings = outline_rings(scorer.model, contour.camera, _RINGS)
+    # Beyond the image there is nothing to compare.
+    low = np.maximum(np.floor(np.min([ring.min(axis=0) for ring in rings], axis=0)) - 2, -2)
+    high = np.ceil(np.max([ring.max(axis=0) for ring in rings], axis=0)) + 3
+    high = np.minimum(high, np.array(contour.camera.shape[::-1]) + 3)
+    columns, lines = np.maximum(high - low, 1).astype(int)
+    matches = []
+    for shift in shifts:
+        mask = coverage([ring - low + shift for ring in rings], (int(lines), int(columns)))
+        place, normal, length = trace(mask >= 0.5 if contour.binary else mask)
+        if len(place) == 0:
+            # The model is hardly in the image: there is no fit whose errors matter.
+            place, normal, length = contour.place, contour.normal, contour.length
+        else:
+            place = place + low - shift
+        matches.append(scorer.matched.match(view.like(place, normal, length)))
+    return matches
+
+
+def _variance(match: Match) -> float:
+    counts = match.forward & (match.length > 0)
+    return float(np.median(np.abs(match.distance[counts]))) ** 2
+
+
+def _of_noise(scorer: _Scorer, match: Match, excess: float) -> Float[np.ndarray, "p p"]:
+    """Covariance of the score by noise that is correlated along the contour.
+
+    Its correlation is taken as a Gaussian of the distance along the contour, as wide as that of the
+    target's distances. What the parameters have followed is missing in these, so that they are smaller
+    than the noise is: its variance is the one that would leave them.
+
+    Args:
+        scorer: The cost.
+        match: The target's.
+        excess: Which part of the residuals' variance is noise, and no work of the pixels.
+    """
+    every = np.flatnonzero(match.forward)
+    every = every[:: -(-len(every) // _MOST)]
+    weights = 2 * scorer.weighted(match)[every]
+    slopes = scorer.rows(match)[every]
+    # Corners that the noise has rounded off are no measure of it.
+    distance = np.clip(match.distance[every], -3 * scorer.noise, 3 * scorer.noise)
+    calm = weights > 0
+    weights = weights * (np.sum(match.length[match.forward]) / np.sum(match.length[every]))
+    inverse = np.linalg.inv((weights[:, None] * slopes).T @ slopes + np.eye(slopes.shape[1]))
+    followed = slopes @ inverse @ (weights[:, None] * slopes).T
+    left = np.eye(len(every)) - followed
+    lag = np.abs(np.subtract.outer(np.arange(len(every)), np.arange(len(every))))
+    lag = np.minimum(lag, len(every) - lag)
+    width = _half_lag(distance, calm) / _HALF
+    noise = np.exp(-0.5 * (lag / width) ** 2)
+    residual = np.diag(left @ noise @ left.T)
+    variance = excess * np.sum(distance[calm] ** 2) / np.sum(residual[calm])
+    # So few independent stretches of contour tell the variance, whose error counts as Student's does.
+    stretches = np.count_nonzero(calm) / (np.sqrt(2 * np.pi) * max(width, 0.4)) - slopes.shape[1]
+    variance *= max(stretches, 4.0) / (max(stretches, 4.0) - 2)
+    parts = weights[:, None] * slopes
+    return variance * parts.T @ noise @ parts
+
+
+def _half_lag(distance: np.ndarray, calm: np.ndarray) -> float:
+    """How many places apart the correlation of distances falls below one half."""
+    distance, before = np.where(calm, distance, 0.0), 1.0
+    power = float(np.mean(distance[calm] ** 2)) + 1e-300
+    for lag in range(1, len(distance) // 4):
+        pairs = max(int(np.count_nonzero(calm[lag:] & calm[:-lag])), 1)
+        here = float(distance[lag:] @ distance[:-lag]) / pairs / power
+        if here < 0.5:
+            return lag - 1 + (before - 0.5) / max(before - here, 1e-12)
+        before = here
+    return len(distance) / 4
+
+
+def _unresolved(scorer: _Scorer, match: Match) -> Float[np.ndarray, "p p"]:
+    """Covariance of the score by parameters that show in a few pixels only, where slopes mislead."""
+    rows = scorer.rows(match)[match.forward]
+    weighted = 2 * scorer.weighted(match)[match.forward, None] * rows
+    power = weighted * rows
+    total = power.sum(axis=0) + 1e-300
+    pixels = total**2 / (np.sum(power**2, axis=0) + 1e-300)
+    length = float(match.length[match.forward].mean())
+    blur = max(_BLUR[scorer.view.contour.binary], 1.5 * scorer.noise)
+    blur = blur * (_RESOLVED / (pixels * length + 1e-9)) ** 2
+    # Pixels by which one unit of t moves what shows; the error in t is at most the typical range.
+    speed = np.sum(power * np.abs(rows), axis=0) / total + 1e-9
+    information = weighted.T @ rows
+    return (information * np.where(blur < speed, blur / speed, 1.0) ** 2) @ information

@@ -1,0 +1,1 @@
+"""Points that do not belong to the surface: losses, mixtures, annealing."""

@@ -1,0 +1,129 @@
+"""Annealing: weights that fall with distance, and a scale that falls while the surface comes nearer.
+
+Far from the truth a wide kernel takes in what a narrow one would throw away (graduated non-convexity;
+Blake and Zisserman, 1987). At the end the points are a mixture of the surface and its background.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from petalfit.fitting.coordinates import Coordinates, Prior
+from petalfit.fitting.likelihood.cloud import ObservedCloud, pad
+from petalfit.fitting.likelihood.foot_points import signed_distance
+from petalfit.fitting.likelihood.scales import geman_mcclure, spread_of
+from petalfit.fitting.outliers.loss import AbstractBackground
+from petalfit.fitting.solver.alternate import minimise
+from petalfit.fitting.solver.iterate import Iterate
+from petalfit.residuals import TangentDistance
+from petalfit.surfaces import AbstractSurface
+
+_UNLIKELY = 0.05  # weight of points that lie on no sheet, while a model is still far away
+_WIDEST, _NARROWEST, _NARROWING = 6.0, 3.0, 0.6  # of the kernel, in spreads of the distances
+_AT_ONCE, _ROUNDS = 3, 36
+_TOLERANCE = 0.02  # standard errors
+_UNCHANGED = 0.02  # of a probability
+
+
+def approach(
+    coordinates: Coordinates,
+    background: AbstractBackground,
+    model: AbstractSurface,
+    points: Float[np.ndarray, "n 3"],
+    weights: Float[np.ndarray, " n"],
+    likely: Bool[np.ndarray, " n"],
+) -> Iterate:
+    """Brings a rough start to the surface, with a kernel that narrows.
+
+    Args:
+        coordinates: Free parameters.
+        background: What else is among the points.
+        model: The start.
+        points: All of them.
+        weights: How many observations each counts for.
+        likely: Which of them seem to belong to a surface; the others count for little.
+
+    Returns:
+        The end, with the mixture of the points there.
+    """
+    base = weights * np.where(likely, 1.0, _UNLIKELY)
+    cloud = ObservedCloud(pad(points, base, None))
+    term, scale, n = cloud.match(model, None), np.inf, len(points)
+    while True:
+        distance = np.abs(
+            signed_distance(*cloud.beside(coordinates, coordinates.inverse(model), term))[:n]
+        )
+        narrowest = _NARROWEST * spread_of(distance[likely])
+        scale = min(_WIDEST / _NARROWEST * narrowest, scale)
+        kept = base * geman_mcclure(distance, max(scale, narrowest))
+        end = _followed(coordinates, model, points, kept, None, term, 2, 0.3)
+        model, term = end.model, cloud.match(end.model, term_of(end))
+        if scale <= narrowest:
+            beside = cloud.beside(coordinates, coordinates.inverse(model), term)
+            found = background.mixture(model, *beside, weights, None)
+            return dataclasses.replace(end, mixture=found)
+        scale *= _NARROWING
+
+
+def clear(
+    coordinates: Coordinates,
+    background: AbstractBackground,
+    model: AbstractSurface,
+    points: Float[np.ndarray, "n 3"],
+    weights: Float[np.ndarray, " n"],
+    noise: float | None,
+    prior: Prior | None,
+) -> Iterate:
+    """Brings a start near the surface to the likeliest surface, and finds the points that belong to it.
+
+    Args:
+        coordinates: Free parameters.
+        background: What else is among the points.
+        model: The start.
+        points: All of them.
+        weights: How many observations each counts for.
+        noise: σ, or None to estimate it.
+        prior: What is known besides.
+
+    Returns:
+        The end, with the mixture of the points there.
+    """
+    cloud = ObservedCloud(pad(points, weights, noise))
+    term, rounds, members = cloud.match(model, None), 0, None
+    while True:
+        beside = cloud.beside(coordinates, coordinates.inverse(model), term)
+        found = background.mixture(model, *beside, weights, noise)
+        kept = weights * found.members
+        end = _followed(coordinates, model, points, kept, noise, term, _AT_ONCE, _TOLERANCE, prior)
+        rounds, model, term = rounds + end.rounds, end.model, term_of(end)
+        changed = 1.0 if members is None else float(np.max(np.abs(found.members - members)))
+        members = found.members
+        settled = end.moved <= _TOLERANCE and changed < _UNCHANGED
+        if settled or rounds >= _ROUNDS:
+            return dataclasses.replace(end, rounds=rounds, mixture=found)
+
+
+def _followed(
+    coordinates: Coordinates,
+    model: AbstractSurface,
+    points: Float[np.ndarray, "n 3"],
+    weights: Float[np.ndarray, " n"],
+    noise: float | None,
+    term: TangentDistance,
+    rounds: int,
+    tolerance: float,
+    prior: Prior | None = None,
+) -> Iterate:
+    """A few rounds on points with these weights."""
+    seen = ObservedCloud(pad(points, weights, noise))
+    return minimise(coordinates, [seen], model, [seen.at(term.uv)], rounds, tolerance, prior)
+
+
+def term_of(end: Iterate) -> TangentDistance:
+    """The term of an end whose only observation is a cloud."""
+    (term,) = end.terms
+    assert isinstance(term, TangentDistance)
+    return term

@@ -1,0 +1,76 @@
+"""Local planes: which points lie on a sheet, by their neighbours alone, before any model is there."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial import KDTree
+
+from petalfit.fitting.likelihood.scales import geman_mcclure, spread_of
+
+_NEIGHBOUR = 8  # whose distance tells how dense it is around a point
+_PLANE = 12  # neighbours that a local plane is laid through
+_SPLIT = 0.7  # of the variance: two kinds of density rather than one that varies
+_SPARSE = 2.5  # median neighbour distances
+_OFF = 4.0  # robust standard deviations from the local plane
+_ROUNDS = 3
+_FEWEST = 32
+
+
+def on_sheets(points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+    """Which points seem to lie on a sheet: dense around, and near the plane through their neighbours.
+
+    Keeps nearly all of a sheet, however it is bent, and a tenth of a clutter as dense as a third of
+    all points in the sheet's own box. It knows nothing of a model, so what it keeps is where a search
+    may start, and no verdict.
+
+    Args:
+        points: Shape (n, 3).
+    """
+    kept = np.arange(len(points))
+    if len(kept) > _FEWEST:
+        kept = kept[_dense(points)]
+    for _ in range(_ROUNDS):
+        if len(kept) <= _FEWEST:
+            break
+        far, off = _local_planes(points[kept])
+        flat = np.abs(off) <= _OFF * spread_of(off)
+        kept = kept[flat & (far <= _SPARSE * np.median(far))]
+    found = np.zeros(len(points), bool)
+    found[kept] = True
+    return found
+
+
+def _dense(points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+    """Of two kinds of density the denser one, if there are two (Otsu, 1979)."""
+    far = np.asarray(KDTree(points).query(points, _NEIGHBOUR + 1)[0])[:, -1]
+    logs = np.log(np.maximum(far, 1e-3 * np.median(far) + 1e-300))
+    ordered = np.sort(logs)
+    n, below = len(ordered), np.arange(1, len(ordered))
+    sums = np.cumsum(ordered)[:-1]
+    between = (sums / below - ordered.mean()) ** 2 * below / (n - below)
+    split = int(np.argmax(between))
+    if between[split] >= _SPLIT * ordered.var():
+        return logs <= ordered[split]
+    return far <= 3 * np.median(far)
+
+
+def _local_planes(
+    points: Float[np.ndarray, "n 3"],
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """The distance to a far neighbour, and from the plane through the neighbours, of every point."""
+    tree = KDTree(points)
+    gaps, near = map(np.asarray, tree.query(points, _PLANE + 1))
+    around = points[near[:, 1:]]
+    weights = np.ones(around.shape[:2])
+    middle = normal = np.zeros_like(points)
+    for _ in range(4):
+        total = weights.sum(axis=1)
+        middle = np.einsum("nk,nki->ni", weights, around) / total[:, None]
+        centred = around - middle[:, None]
+        spread = np.einsum("nk,nki,nkj->nij", weights, centred, centred)
+        normal = np.linalg.eigh(spread)[1][:, :, 0]
+        off = np.einsum("nki,ni->nk", centred, normal)
+        scale = 2 * np.median(np.abs(off), axis=1, keepdims=True) + 1e-300
+        weights = geman_mcclure(off, scale)
+    return gaps[:, _NEIGHBOUR], np.einsum("ni,ni->n", points - middle, normal)

@@ -1,0 +1,69 @@
+"""The robust loss: points may be outliers, which are spread evenly around the surface."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import ClassVar
+
+import numpy as np
+from jaxtyping import Float
+
+from petalfit.fitting.likelihood.mixture import Mixture, box_volume, mixture
+from petalfit.fitting.likelihood.quadrature import Quadrature
+from petalfit.fitting.likelihood.scales import spread_of
+from petalfit.fitting.outliers.local_planes import on_sheets
+from petalfit.fitting.outliers.loss import AbstractBackground, AbstractLoss
+from petalfit.surfaces import AbstractSurface
+
+
+@dataclasses.dataclass(frozen=True)
+class Clutter(AbstractBackground):
+    """Points that belong to no surface and are spread evenly.
+
+    Attributes:
+        volume: The volume of the box around all points, along their principal axes.
+    """
+
+    volume: float
+
+    @classmethod
+    def around(cls, points: Float[np.ndarray, "n 3"]) -> Clutter:
+        """Clutter in the box that the points lie in."""
+        return cls(box_volume(points))
+
+    def mixture(
+        self,
+        model: AbstractSurface,
+        distance: np.ndarray,
+        beyond: np.ndarray,
+        weights: np.ndarray,
+        noise: float | None,
+    ) -> Mixture:
+        distance, beyond = np.abs(distance[: len(weights)]), beyond[: len(weights)]
+        start = spread_of(distance) if noise is None else noise
+        area = float(np.sum(Quadrature.of(model).area))
+        return mixture(distance, beyond, weights, self.volume, area, start, noise is not None)
+
+
+class Robust(AbstractLoss):
+    """Each point counts by the probability that it belongs to the surface, and not to clutter."""
+
+    name: ClassVar[str] = "robust"
+    meaning: ClassVar[str] = "points may be outliers or clutter, which are found"
+
+    def background(self, points: np.ndarray) -> Clutter:
+        return Clutter.around(points)
+
+    def likely(self, points: np.ndarray) -> np.ndarray:
+        return on_sheets(points)
+
+    def log_likelihood(
+        self,
+        distance: np.ndarray,
+        weights: np.ndarray,
+        volume: float,
+        area: float,
+        noise: float,
+    ) -> float:
+        inside = np.full(len(distance), -np.inf)
+        return mixture(distance, inside, weights, volume, area, max(noise, 1e-300)).log_likelihood

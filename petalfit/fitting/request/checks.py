@@ -1,0 +1,184 @@
+"""Checks of what a fit is asked for: one sentence for everything that cannot be had."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
+
+from petalfit.components import Posed, parameters
+from petalfit.fitting.outliers.loss import AbstractLoss
+from petalfit.observations import AbstractObservation, Contour, PointCloud, Silhouette, TargetError
+from petalfit.surfaces import AbstractSurface
+
+if TYPE_CHECKING:
+    from petalfit.fitting.families.family import AbstractFamily
+
+POSES = ("known", "rigid", "similarity")
+
+
+def check_pose_name(pose: str) -> None:
+    """Refuses words that are no pose."""
+    if pose not in POSES:
+        raise ValueError(f"pose must be 'known', 'rigid' or 'similarity'; received {pose!r}")
+
+
+def valid_noise(
+    noise: float | Sequence[float] | Float[np.ndarray, " n"] | None,
+) -> float | Float[np.ndarray, " n"] | None:
+    """The noise as a positive length, or one for each point; None if it is to be estimated."""
+    if noise is None:
+        return None
+    sigma = np.asarray(noise, np.float64)
+    if sigma.ndim > 1 or not np.all(np.isfinite(sigma) & (sigma > 0)):
+        raise ValueError(
+            f"noise must be a positive length, one for each point, or None; received {noise}"
+        )
+    return sigma if sigma.ndim else float(sigma)
+
+
+def refuse(what: str, unused: Sequence[str]) -> None:
+    """Refuses options that would be dropped."""
+    if unused:
+        raise TargetError(f"a fit of {what} does not use {' or '.join(unused)}; leave it out.")
+
+
+def check_used(family: AbstractFamily, given: Sequence[str]) -> None:
+    """Refuses options that a family's fits do not use."""
+    refuse(f"a {family.kind.__name__}", [name for name in given if name not in family.takes])
+
+
+def check_pose(
+    family: AbstractFamily,
+    template: AbstractSurface,
+    pose: str,
+    targets: Sequence[AbstractObservation],
+    from_template: bool,
+    posable: Sequence[str],
+) -> None:
+    """Refuses poses that a family, its model or its targets do not go with.
+
+    Args:
+        family: The family of the template.
+        template: The component.
+        pose: What is asked for.
+        targets: The observations.
+        from_template: Whether the fit starts at the template.
+        posable: Names of the models that can be found in that pose.
+    """
+    kind = type(template).__name__
+    masks = [target for target in targets if isinstance(target, Silhouette)]
+    in_image = any(mask.camera is None for mask in masks)
+    if pose != "known" or in_image:
+        taken = [name for name in Posed.similarity if name in parameters(template)]
+        if taken:
+            raise TargetError(
+                f"{', '.join(taken)} of {kind} are names of a pose's own parameters, which would be "
+                "free too; rename them, or bring the target into the model's frame (pose='known')."
+            )
+    if pose == "known":
+        return
+    if from_template:
+        raise TargetError(f"init has no pose to start from; leave it out with pose={pose!r}.")
+    if len(masks) == len(targets):
+        if pose == "similarity" or in_image:
+            raise TargetError(
+                f"pose={pose!r} does not go with these masks: with a camera for each the pose may "
+                "be 'rigid'; without one it is 'known' to be a front view."
+            )
+        return
+    if pose not in family.poses:
+        raise TargetError(
+            f"pose={pose!r} is there for {', '.join(posable)}; bring the target into the frame of a "
+            f"{kind}."
+        )
+    if len(targets) > 1:
+        raise TargetError(f"pose={pose!r} is there for one cloud, or for masks with cameras.")
+
+
+def check_targets(
+    family: AbstractFamily, template: AbstractSurface, targets: Sequence[AbstractObservation]
+) -> None:
+    """Refuses silhouettes and joint fits of families that do not know them."""
+    if not family.sees_outlines and not (len(targets) == 1 and isinstance(targets[0], PointCloud)):
+        raise TargetError(
+            f"a {type(template).__name__} is fitted to one cloud; masks, or several targets, need "
+            "another model."
+        )
+
+
+def check_loss(
+    family: AbstractFamily,
+    template: AbstractSurface,
+    loss: AbstractLoss,
+    targets: Sequence[AbstractObservation],
+) -> None:
+    """Refuses losses for targets and families in which no outliers are found."""
+    if loss.name == "linear":
+        return
+    if len(targets) > 1 or not isinstance(targets[0], PointCloud):
+        raise TargetError(
+            f"loss={loss.name!r} is there for one cloud; masks discount outliers by themselves."
+        )
+    if not family.finds_outliers:
+        raise TargetError(
+            f"loss={loss.name!r} is there for components of one surface; a "
+            f"{type(template).__name__} has several."
+        )
+
+
+def check_count(family: AbstractFamily, cloud: PointCloud, names: tuple[str, ...]) -> None:
+    """Refuses clouds of too few points."""
+    count = np.count_nonzero(cloud.mass)
+    if family.fewest is not None and count < family.fewest:
+        raise TargetError(
+            f"{count} points are too few for a {family.kind.__name__}; give {family.fewest} or more, or "
+            "fit a model with fewer numbers."
+        )
+    if count < len(names) + 1:
+        raise TargetError(
+            f"{count} points cannot determine {len(names)} free parameters; at least "
+            f"{len(names) + 1} are needed: give more points, or name fewer parameters in free."
+        )
+
+
+def check_frame(cloud: PointCloud, template: AbstractSurface, pose: str) -> None:
+    """Refuses clouds in a unit in which the model's ranges cannot reach the points."""
+    lengths = [p.bounds for p in parameters(template).values() if p.unit == "length"]
+    if not lengths:
+        return
+    largest = max(max(abs(low), abs(high)) for low, high in lengths)
+    reach = float(np.abs(cloud.points).max()) if pose == "known" else cloud.diagonal
+    kind = type(template).__name__
+    if reach > 10 * largest:
+        raise TargetError(
+            f"coordinates reach {reach:.3g} where the lengths of {kind} end at {largest:g}: bring the "
+            "target to the model's unit and near its origin."
+        )
+    smallest = min((low for low, _ in lengths if low > 0), default=0.0)
+    if cloud.diagonal < 0.1 * smallest:
+        raise TargetError(
+            f"the target is only {cloud.diagonal:.3g} across where the lengths of {kind} begin at "
+            f"{smallest:g}: bring it to the model's unit."
+        )
+
+
+def check_view(contour: Contour, template: AbstractSurface) -> None:
+    """Refuses cameras that do not see the model where it may be."""
+    camera = contour.camera
+    corners = np.asarray(template.mesh((5, 5)).vertices)
+    if camera.is_orthographic:
+        return
+    depth = camera.depth(corners)
+    if depth.max() <= 0:
+        raise TargetError(
+            "the camera looks away from the petal, which lies behind it (z ≤ 0 in the camera's frame); "
+            "OpenCV cameras look along +z, and with pose='known' the petal begins at the origin."
+        )
+    if depth.min() <= 0:
+        raise TargetError(
+            "the camera stands in or beside the petal, part of which lies behind it; with pose='known' "
+            "the petal begins at the origin and runs along +y."
+        )

@@ -1,0 +1,81 @@
+"""All that a fit is asked for, as one value that has been checked."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+
+import numpy as np
+
+from petalfit.fitting.outliers.linear import Linear
+from petalfit.fitting.outliers.loss import AbstractLoss
+from petalfit.fitting.outliers.scan import Scan
+from petalfit.fitting.starts.frame import NormalisedFrame
+from petalfit.observations import AbstractObservation, PointCloud
+from petalfit.surfaces import AbstractSurface
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Request:
+    """All that a fit is asked for.
+
+    Attributes:
+        template: A component. Parameters that are not free keep its values.
+        free: Names of the free parameters; those of a fitted pose among them, once it is known.
+        targets: The observations, which are fitted jointly.
+        pose: "known", "rigid" or "similarity".
+        loss: How points that may not belong to the surface are treated.
+        noise: σ of the clouds; None to estimate it.
+        from_template: Whether to start at the template instead of searching for a start.
+        seed: The seed of random choices.
+        placed: Of a mask without a camera, the scale and the shifts to start from, in pixels.
+        ends_only: Whether to leave out what silhouettes need besides the solution: the correction of
+            its bias, and its errors.
+    """
+
+    template: AbstractSurface
+    free: tuple[str, ...]
+    targets: tuple[AbstractObservation, ...]
+    pose: str = "known"
+    loss: AbstractLoss = dataclasses.field(default_factory=Linear)
+    noise: float | None = None
+    from_template: bool = False
+    seed: int = 0
+    placed: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    ends_only: bool = False
+
+    @property
+    def cloud(self) -> PointCloud:
+        """The only target, a cloud."""
+        (cloud,) = self.targets
+        assert isinstance(cloud, PointCloud)
+        return cloud
+
+    @property
+    def is_one_cloud(self) -> bool:
+        """Whether the only target is a cloud."""
+        return len(self.targets) == 1 and isinstance(self.targets[0], PointCloud)
+
+
+def scan_of(request: Request, frame: NormalisedFrame, shuffled: bool) -> tuple[Scan, np.ndarray]:
+    """The points of a request's cloud that have a weight, in a frame.
+
+    Args:
+        request: Its only target is a cloud.
+        frame: The frame.
+        shuffled: Whether to bring the points into a random order, in which any first part is a fair
+            choice; else they stay as they came.
+
+    Returns:
+        The scan, and the number of each of its points among those that have a weight.
+    """
+    cloud = request.cloud
+    used = cloud.mass > 0
+    points, weights = cloud.points[used], cloud.mass[used]
+    own, noise = frame.into(points), request.noise
+    order = frame.order(points if shuffled else own, request.seed)
+    noise = None if noise is None else noise / frame.unit
+    every = np.arange(len(own))
+    if shuffled:
+        return Scan.of(own[order], weights[order], every, noise, request.loss), order
+    return Scan.of(own, weights, order, noise, request.loss), every

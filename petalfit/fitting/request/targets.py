@@ -1,0 +1,90 @@
+"""Targets: anything that can be made an observation, or a list of these."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+from jaxtyping import Float
+
+from petalfit.observations import (
+    AbstractObservation,
+    Camera,
+    PointCloud,
+    Silhouette,
+    TargetError,
+    as_point_cloud,
+    read_target,
+)
+
+
+def as_targets(target: object, camera: Camera | None) -> list[AbstractObservation]:
+    """Every target as an observation, in which nothing is repeated.
+
+    Args:
+        target: A cloud, a mask, or a list of these; see `petalfit.fit`.
+        camera: The camera of masks that are arrays or files.
+
+    Raises:
+        TargetError: A target cannot be used, or the camera is not.
+    """
+    parts = target if isinstance(target, list | tuple) and _is_list_of_targets(target) else [target]
+    observations = [_as_target(part, camera).each_once() for part in parts]
+    if camera is not None and not any(isinstance(part, Silhouette) for part in observations):
+        raise TargetError("camera is for masks, and there is none among the targets; leave it out.")
+    return observations
+
+
+def with_noise_of_points(
+    targets: list[AbstractObservation], noise: float | Float[np.ndarray, " n"] | None
+) -> tuple[list[AbstractObservation], float | None]:
+    """The targets with weights that say how precise their points are, and the noise of weight 1.
+
+    Args:
+        targets: One cloud; anything if there is one noise.
+        noise: Standard deviation of every point, positive, shape (n,); or one, which is returned.
+
+    Raises:
+        TargetError: There is more, or the noise is not that of its points.
+    """
+    if not isinstance(noise, np.ndarray):
+        return targets, noise
+    cloud = targets[0]
+    if len(targets) > 1 or not isinstance(cloud, PointCloud):
+        raise TargetError("a noise for each point is there for one cloud; give one number.")
+    if noise.shape != (len(cloud),):
+        raise TargetError(
+            f"noise has shape {noise.shape}; give one number, or one for each of the {len(cloud)} points."
+        )
+    typical = float(np.mean(noise**-2.0) ** -0.5)
+    return [cloud.weighted((typical / noise) ** 2)], typical
+
+
+def _is_list_of_targets(target: list | tuple) -> bool:
+    """Rather than rows of coordinates or of pixels."""
+    kinds = (AbstractObservation, str, os.PathLike)
+    return any(
+        isinstance(part, kinds) or hasattr(part, "vertices") or np.ndim(part) == 2
+        for part in target
+    )
+
+
+def _as_target(target: object, camera: Camera | None) -> AbstractObservation:
+    if isinstance(target, Silhouette):
+        if target.camera is None and camera is not None:
+            return Silhouette(target.mask, camera, target.weights)
+        return target
+    if isinstance(target, AbstractObservation):
+        return target
+    if isinstance(target, str | os.PathLike):
+        return read_target(target, camera)
+    if isinstance(target, np.ndarray) and _looks_like_a_mask(target, camera):
+        return Silhouette(target, camera)
+    return as_point_cloud(target)
+
+
+def _looks_like_a_mask(array: np.ndarray, camera: Camera | None) -> bool:
+    """(N, 3) is a cloud, other matrices are masks, and so are pictures, which the mask refuses."""
+    if array.ndim == 3:
+        return True
+    return array.ndim == 2 and (array.dtype == bool or camera is not None or min(array.shape) > 8)

@@ -1,0 +1,61 @@
+"""From a request to the ends of its starts."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+
+from petalfit.components import Posed
+from petalfit.fitting.families.family import AbstractFamily
+from petalfit.fitting.request.checks import check_count, check_frame, check_view
+from petalfit.fitting.request.request import Request
+from petalfit.fitting.silhouettes.anywhere import fit_views_anywhere, in_image
+from petalfit.fitting.silhouettes.joint import fit_joint
+from petalfit.fitting.solver.iterate import Iterate
+from petalfit.observations import Contour, PointCloud, Silhouette, TargetError
+
+
+def run(family: AbstractFamily, request: Request) -> tuple[Request, list[Iterate]]:
+    """Fit a component to its targets.
+
+    Args:
+        family: The family of the template.
+        request: What is asked for, checked but for what only the targets' numbers say.
+
+    Returns:
+        The request with the template and the names that were fitted, those of a pose among them; and the
+        end of each start, the best first, its residuals in the order of the targets.
+
+    Raises:
+        TargetError: The targets cannot be used with this model.
+    """
+    clouds = [target for target in request.targets if isinstance(target, PointCloud)]
+    masks = [target for target in request.targets if isinstance(target, Silhouette)]
+    for cloud in clouds:
+        if request.pose != "similarity":
+            check_frame(cloud, request.template, request.pose)
+    if request.is_one_cloud:
+        names = family.free_in(request.pose, request.free)
+        check_count(family, request.cloud, request.free if family.named_errors else ())
+        with jax.enable_x64(True):
+            ends = family.fit_cloud(request)
+        return dataclasses.replace(request, free=names), ends
+    contours = [Contour.of(mask) for mask in masks]
+    with jax.enable_x64(True):
+        if request.pose != "known":
+            names = family.free_in(request.pose, request.free)
+            request = dataclasses.replace(request, free=names)
+            return request, fit_views_anywhere(family, request, contours)
+        if any(mask.camera is None for mask in masks):
+            if len(request.targets) > 1:
+                raise TargetError(
+                    "a mask without a camera can only be fitted alone: where the petal lies in its image "
+                    "is not known. Give the camera of every mask."
+                )
+            placed = in_image(request.template, contours[0], request.placed)
+            names = (*request.free, *Posed.in_image)
+            request = dataclasses.replace(request, template=placed, free=names)
+        for contour in contours:
+            check_view(contour, request.template)
+        return request, fit_joint(family, request)

@@ -1,0 +1,1 @@
+"""Joint fits, of silhouettes above all."""

@@ -1,0 +1,230 @@
+"""Joint fits: silhouettes, clouds, and whatever else is observed, in one likelihood."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from petalfit.compilation import stage
+from petalfit.components import Posed, parameters
+from petalfit.fitting.coordinates import Coordinates, Prior, with_values
+from petalfit.fitting.families.family import AbstractFamily
+from petalfit.fitting.inference.identifiability import sizes
+from petalfit.fitting.inference.pinning import pinned
+from petalfit.fitting.likelihood.cloud import ObservedCloud
+from petalfit.fitting.likelihood.observed import AbstractObserved
+from petalfit.fitting.likelihood.views import ObservedViews
+from petalfit.fitting.request.request import Request
+from petalfit.fitting.silhouettes.observing import Part, observe
+from petalfit.fitting.solver.all_points import with_all_points
+from petalfit.fitting.solver.alternate import minimise
+from petalfit.fitting.solver.debias import evaluate, without_bias
+from petalfit.fitting.solver.iterate import Iterate
+from petalfit.fitting.solver.observer import report
+from petalfit.fitting.starts.support import Shadow, search
+from petalfit.observations import PointCloud, TargetError
+from petalfit.surfaces import AbstractSurface, value_at
+
+_CANDIDATES = 20
+# A candidate that follows the contours as closely as this is right; others need not be looked at.
+_RIGHT = 0.03
+_FOLLOWED = 3
+_ROUNDS = 20
+_TOLERANCE = 2e-2
+# How many scales are tried for a mask without a camera.
+_SCALES = 25
+# Coordinates closer than this are one outline.
+_SAME = 0.3
+
+Start = tuple[str, AbstractSurface]
+
+
+@dataclasses.dataclass(frozen=True)
+class Joint:
+    """All observations of one fit, and how a start is followed.
+
+    Attributes:
+        family: The family of the model.
+        coordinates: Free parameters.
+        parts: The observations as a solver needs them, each with the numbers of its targets.
+    """
+
+    family: AbstractFamily
+    coordinates: Coordinates
+    parts: tuple[Part, ...]
+
+    @property
+    def observed(self) -> list[AbstractObserved]:
+        """All observations, without their numbers."""
+        return [part.observed for part in self.parts]
+
+    @property
+    def clouds(self) -> list[ObservedCloud]:
+        """The clouds among them."""
+        return [x for x in self.observed if isinstance(x, ObservedCloud)]
+
+    @property
+    def views(self) -> ObservedViews | None:
+        """The silhouettes among them, together; None if there are none."""
+        return next((x for x in self.observed if isinstance(x, ObservedViews)), None)
+
+    def minimise(
+        self,
+        coordinates: Coordinates,
+        model: AbstractSurface,
+        rounds: int = _ROUNDS,
+        tolerance: float = _TOLERANCE,
+        prior: Prior | None = None,
+    ) -> Iterate:
+        """Rounds of the solver, before each of which everything is matched again."""
+        terms = [None] * len(self.parts)
+        return minimise(coordinates, self.observed, model, terms, rounds, tolerance, prior, every=1)
+
+    def misfit(self, model: AbstractSurface) -> float:
+        """Logarithms of squared distances, small where a model follows; starts are chosen by it."""
+        return sum(part.misfit(model) for part in self.observed)
+
+    def follow(self, label: str, model: AbstractSurface, held: tuple[str, ...] = ()) -> _Followed:
+        """The end of a start, with some parameters held."""
+        report(f"polishing from {label}")
+        with stage("polishing"):
+            end = self.minimise(self.coordinates.holding(held).around(model), model)
+        return _Followed(end, evaluate(self.coordinates, label, self.observed, end), held)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Followed:
+    """An end of a joint fit: as the solver left it, as it is evaluated, and what was held."""
+
+    left: Iterate
+    end: Iterate
+    held: tuple[str, ...]
+
+
+def fit_joint(family: AbstractFamily, request: Request) -> list[Iterate]:
+    """Fit a component to several observations, or to silhouettes, in its own frame.
+
+    Args:
+        family: The family of the template.
+        request: All that is asked for, with what is free of a pose around the template.
+
+    Returns:
+        The end of each start, the best first, its residuals in the order of the targets. Call it inside
+        `jax.enable_x64(True)`.
+    """
+    coordinates, free = Coordinates.of(request.template, request.free), request.free
+    parts = observe(request)
+    joint = Joint(family, coordinates, parts)
+    if request.from_template:
+        found = [joint.follow("given", coordinates.template)]
+    else:
+        found = [*_from_clouds(joint, request), *_from_outlines(joint)]
+    best, *others = sorted(found, key=lambda one: one.end.chi2)
+    rest = [_in_order(other.end, parts) for other in others]
+    if request.ends_only:
+        return [_in_order(best.end, parts), *rest]
+
+    def finished(end: Iterate, prior: Prior | None = None) -> Iterate:
+        known = Prior.none(len(free)) if prior is None else prior
+        # What was held stays where it is.
+        root = np.where(np.isin(free, best.held), 1e6, known.root)
+        around, label = coordinates.around(end.model), best.end.label
+        return without_bias(around, label, joint.observed, end, Prior(known.centre, root))
+
+    def again(model: AbstractSurface, prior: Prior) -> Iterate:
+        held = coordinates.holding(best.held).around(model)
+        return finished(joint.minimise(held, model, prior=prior), prior)
+
+    report("taking pictures of the fit")
+    with stage("errors"):
+        final = pinned(coordinates, finished(best.left), again)
+    final = _in_order(dataclasses.replace(final, chi2=best.end.chi2), parts)
+    for number, target in enumerate(request.targets):
+        if isinstance(target, PointCloud):
+            final = with_all_points(coordinates, final, number, target)
+    return [final, *rest]
+
+
+def _in_order(end: Iterate, parts: Sequence[Part]) -> Iterate:
+    """An end with its residuals in the order of the targets."""
+    numbers = [number for part in parts for number in part.numbers]
+    residuals = tuple(end.residuals[k] for k in np.argsort(numbers))
+    return dataclasses.replace(end, residuals=residuals)
+
+
+def _from_clouds(joint: Joint, request: Request) -> Iterator[_Followed]:
+    """Ends that begin where a fit of the clouds alone does."""
+    clouds = [target for target in request.targets if isinstance(target, PointCloud)]
+    count = sum(np.count_nonzero(cloud.mass) for cloud in clouds)
+    if count < len(request.free) + 1:
+        if clouds and joint.views is None:
+            raise TargetError(
+                f"{count} points cannot determine {len(request.free)} free "
+                "parameters: give more points, or name fewer parameters in free."
+            )
+        return
+    points = np.concatenate([cloud.points for cloud in clouds])
+    whole = PointCloud(points, weights=np.concatenate([cloud.mass for cloud in clouds]))
+    alone = dataclasses.replace(request, targets=(whole,))
+    for start in joint.family.fit_cloud(alone):
+        yield joint.follow(start.label, start.model)
+
+
+def _from_outlines(joint: Joint) -> Iterator[_Followed]:
+    """Ends of rough starts that follow the silhouettes, and of the finer ones beside them."""
+    if joint.views is None:
+        return
+    rough = joint.family.rough(joint.coordinates)
+    held = tuple(name for name in rough.free if name not in rough.moving)
+    for label, model in _outlined(joint, joint.views, rough):
+        yield joint.follow(label, model, held)
+        finer = joint.family.refined(joint.coordinates, model, joint.clouds, joint.views)
+        for name, start in finer:
+            yield joint.follow(name, start)
+
+
+def _outlined(joint: Joint, views: ObservedViews, rough: Coordinates) -> Iterator[Start]:
+    """Surfaces that follow the silhouettes, different ones, the best first."""
+    report("searching the outline")
+    shadows = [Shadow.of(view.contour) for view in views.views]
+    found: list[tuple[float, AbstractSurface]] = []
+    for t, _ in search(rough, shadows, _CANDIDATES):
+        model = joint.minimise(rough, rough.model(t), 3, 0.5).model
+        found.append((joint.misfit(model), model))
+        if found[-1][0] < _RIGHT:
+            break
+    found.sort(key=lambda start: start[0])
+    promising = [model for misfit, model in found[:_FOLLOWED] if misfit < 3 * found[0][0] + _RIGHT]
+    best = promising[0]
+    if isinstance(best, Posed) and "scale" in rough.free:
+        promising = _rescaled(joint, rough, best)
+    ends = [joint.minimise(rough, model).model for model in promising]
+    ends.sort(key=joint.misfit)
+    different: list[Float[np.ndarray, " p"]] = []
+    for model in ends:
+        t = rough.inverse(model)
+        if all(np.max(np.abs(t - other)) > _SAME for other in different):
+            different.append(t)
+            yield f"outline {len(different)}", model
+
+
+def _rescaled(joint: Joint, rough: Coordinates, model: Posed) -> list[AbstractSurface]:
+    """The same outline at other scales, which only lengths that the model fixes tell apart."""
+    lengths = [name for name in sizes(model) if name in rough.free]
+    found: list[tuple[float, AbstractSurface]] = []
+    for factor in np.geomspace(0.4, 2.5, _SCALES):
+        values = {name: float(value_at(model, name)) * factor for name in lengths}
+        typical = [parameters(model)[name].typical for name in lengths]
+        if not all(
+            0.8 * low < value < 1.25 * high
+            for value, (low, high) in zip(values.values(), typical, strict=True)
+        ):
+            continue
+        other = with_values(model, values | {"scale": model.scale / factor})
+        other = joint.minimise(rough, other, 4, 0.2).model
+        found.append((joint.misfit(other), other))
+    found.sort(key=lambda start: start[0])
+    return [other for _, other in found[: 2 * _FOLLOWED]] or [model]

@@ -1,0 +1,87 @@
+"""Poses in which silhouettes may show a component: its place by triangulation, and all turns."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import cast
+
+import numpy as np
+from jaxtyping import Float
+
+from petalfit.components import Posed
+from petalfit.fitting.coordinates import Coordinates, in_doubles
+from petalfit.fitting.families.family import AbstractFamily
+from petalfit.fitting.likelihood.quadrature import Quadrature
+from petalfit.fitting.likelihood.views import ObservedViews
+from petalfit.fitting.silhouettes.joint import Joint
+from petalfit.fitting.silhouettes.observing import Part
+from petalfit.fitting.solver.observer import report
+from petalfit.fitting.starts.support import Shadow, search
+from petalfit.observations import Contour
+from petalfit.surfaces import AbstractSurface
+
+
+def view_frames(
+    family: AbstractFamily,
+    template: AbstractSurface,
+    names: tuple[str, ...],
+    contours: Sequence[Contour],
+    most: int,
+) -> list[Posed]:
+    """The component in frames from which its pose is a small turn and shift away, the likeliest first.
+
+    Args:
+        family: The family of the component.
+        template: The component.
+        names: All that is free, the pose included.
+        contours: The contours of its masks, each with its camera.
+        most: How many frames to return.
+    """
+    shadows = [Shadow.of(contour) for contour in contours]
+    centre = middle(shadows)
+    part = Part(ObservedViews.of(contours), tuple(range(len(contours))))
+    places = Quadrature.of(in_doubles(template)).places
+    own = 0.5 * (places.min(axis=0) + places.max(axis=0))
+    glances = []
+    for k, rotation in enumerate(_TURNS):
+        report(f"searching the pose, direction {k + 1} of {len(_TURNS)}")
+        posed = Posed(template, rotation, centre - rotation @ own, np.float64(1.0))
+        coordinates = family.rough(Coordinates.of(posed, names))
+        (best,) = search(coordinates, shadows, 1, thorough=False)
+        glances.append((best.score, coordinates, best.t))
+    glances.sort(key=lambda glance: glance[0])
+    found: list[tuple[float, Posed]] = []
+    for k, (_, coordinates, t) in enumerate(glances[:_LOOKED_AT]):
+        report(f"looking closer, direction {k + 1} of {_LOOKED_AT}")
+        joint = Joint(family, coordinates, (part,))
+        model = joint.minimise(coordinates, coordinates.model(t), 4, 0.5).model
+        found.append((joint.misfit(model), cast(Posed, model).at_rest(template)))
+    found.sort(key=lambda one: one[0])
+    return [frame for _, frame in found[:most]]
+
+
+def middle(shadows: Sequence[Shadow]) -> Float[np.ndarray, "3"]:
+    """The place that is seen nearest to the middle of every silhouette, and to the world's origin."""
+    rows, right = [], []
+    for shadow in shadows:
+        centre = 0.5 * (shadow.place.min(axis=0) + shadow.place.max(axis=0))
+        along = shadow.matrix[:2] - centre[:, None] * shadow.matrix[2]
+        rows.append(along[:, :3])
+        right.append(-along[:, 3])
+    return np.linalg.lstsq(np.concatenate(rows), np.concatenate(right), rcond=1e-9)[0]
+
+
+def _quarter_turns() -> list[Float[np.ndarray, "3 3"]]:
+    """The 24 rotations of a cube."""
+    found = []
+    for order in itertools.permutations(range(3)):
+        for signs in itertools.product((1.0, -1.0), repeat=3):
+            matrix = np.diag(signs)[:, list(order)]
+            if np.linalg.det(matrix) > 0:
+                found.append(matrix)
+    return found
+
+
+_TURNS = _quarter_turns()
+_LOOKED_AT = 8  # directions that contours are compared in

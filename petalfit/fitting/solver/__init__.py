@@ -1,0 +1,1 @@
+"""Minimisation of a cost, from a start to an end without bias."""

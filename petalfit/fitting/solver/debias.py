@@ -1,0 +1,83 @@
+"""The end of an optimisation: its residuals, its bias and the correction of it, its information."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import TypeVar
+
+import numpy as np
+from jaxtyping import Float
+
+from petalfit.fitting.coordinates import Coordinates, Prior, with_values
+from petalfit.fitting.likelihood.observed import AbstractObserved
+from petalfit.fitting.solver.iterate import Iterate
+from petalfit.surfaces import AbstractSurface
+
+Surface = TypeVar("Surface", bound=AbstractSurface)
+
+
+def evaluate(
+    coordinates: Coordinates[Surface],
+    label: str,
+    observed: Sequence[AbstractObserved],
+    end: Iterate[Surface],
+) -> Iterate[Surface]:
+    """The end as the solver left it, with its residuals, to be compared with others.
+
+    Its information, which takes longer, is not computed.
+    """
+    t = coordinates.inverse(end.model)
+    residuals = [
+        part
+        for x, term in zip(observed, end.terms, strict=True)
+        for part in x.residuals(coordinates, t, term)
+    ]
+    chi2 = sum(part.chi2 for part in residuals)
+    return dataclasses.replace(end, label=label, residuals=tuple(residuals), chi2=chi2)
+
+
+def without_bias(
+    coordinates: Coordinates[Surface],
+    label: str,
+    observed: Sequence[AbstractObserved],
+    end: Iterate[Surface],
+    prior: Prior | None = None,
+) -> Iterate[Surface]:
+    """The end with its bias removed, converged foot points, residuals, information and its errors."""
+    t = coordinates.inverse(end.model)
+    found = [
+        x.score_and_information(coordinates, t, term)
+        for x, term in zip(observed, end.terms, strict=True)
+    ]
+    information = np.sum([part.information for part in found], axis=0)
+    covariance = np.sum([part.score_covariance for part in found], axis=0)
+    score = np.sum([part.score for part in found], axis=0)
+    scales = np.outer(coordinates.slopes(t), coordinates.slopes(t))
+    root = np.zeros(len(t)) if prior is None else np.asarray(prior.root)
+    t = t + _correction(information, root, score)
+    pairs = zip(observed, found, strict=True)
+    again = np.sum([x.second_correction(coordinates, t, part) for x, part in pairs], axis=0)
+    t = t + _correction(information, root, again)
+    values = dict(zip(coordinates.free, coordinates.values(t), strict=True))
+    model = with_values(coordinates.template, values)
+    # The foot points move only along the surface, which changes no distance to first order.
+    corrected = dataclasses.replace(end, model=model, terms=tuple(part.term for part in found))
+    return dataclasses.replace(
+        evaluate(coordinates, label, observed, corrected),
+        information=information / scales,
+        score_covariance=covariance / scales,
+    )
+
+
+def _correction(
+    information: Float[np.ndarray, "p p"], root: Float[np.ndarray, " p"], score: np.ndarray
+) -> Float[np.ndarray, " p"]:
+    """The step that takes a score away; zero if there is none."""
+    nowhere = np.zeros(len(root))
+    if not (np.isfinite(information).all() and np.isfinite(score).all()):
+        return nowhere
+    step = np.linalg.solve(information + np.eye(len(root)) + np.diag(root**2), score)
+    # A bias of more than a few standard errors is not a small correction any more.
+    size = np.sqrt(step @ information @ step / len(step))
+    return step * min(1.0, 3.0 / max(size, 1e-300)) if np.isfinite(size) else nowhere

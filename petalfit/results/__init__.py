@@ -1,0 +1,19 @@
+"""Everything that a fit.json holds: values and errors, warnings, and the data beside the surface."""
+
+from petalfit.results.agreement import Agreement as Agreement
+from petalfit.results.estimate import APART as APART
+from petalfit.results.estimate import CLEAR_LEAD as CLEAR_LEAD
+from petalfit.results.estimate import Estimate as Estimate
+from petalfit.results.estimate import Start as Start
+from petalfit.results.estimate import quantile as quantile
+from petalfit.results.estimate import rivals as rivals
+from petalfit.results.estimate import standard_errors as standard_errors
+from petalfit.results.misfit import MisfitMap as MisfitMap
+from petalfit.results.profile import Profile as Profile
+from petalfit.results.record import FitRecord as FitRecord
+from petalfit.results.record import Rank as Rank
+from petalfit.results.status import Status as Status
+from petalfit.results.warning import FitWarning as FitWarning
+from petalfit.results.warning import WarningKind as WarningKind
+from petalfit.results.warning import of_kind as of_kind
+from petalfit.results.warning import one_of_each as one_of_each

@@ -1,0 +1,277 @@
+"""The record of a fit: everything that a fit.json holds."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import os
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+
+import numpy as np
+from jaxtyping import Float64
+
+from petalfit.components import Parameter, Posed, models, parameters
+from petalfit.observations import TargetError, observation_from_json
+from petalfit.observations.atomic import atomic_path
+from petalfit.results.agreement import Agreement
+from petalfit.results.codec import decode, encode
+from petalfit.results.estimate import Estimate, Start
+from petalfit.results.misfit import MisfitMap
+from petalfit.results.profile import Profile
+from petalfit.results.status import Status
+from petalfit.results.warning import FitWarning
+from petalfit.surfaces import AbstractSurface, Pose, moved, with_value
+from petalfit.version import VERSION as PETALFIT
+
+if TYPE_CHECKING:
+    import trimesh
+
+Record = TypeVar("Record", bound="FitRecord")
+FORMAT = "petalfit.FitResult"
+VERSION = 4
+
+
+@dataclasses.dataclass(frozen=True)
+class Rank:
+    """A family of petals among others that were fitted to the same cloud.
+
+    Attributes:
+        model: Name of the family.
+        delta_bic: How much greater its information criterion is than the best one's; 0 for the best.
+            Ten is a strong preference.
+        rms: Root mean square distance that it reached, in the target's unit.
+        freedom: How many numbers it could choose.
+    """
+
+    model: str
+    delta_bic: float
+    rms: float
+    freedom: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class FitRecord(Estimate):
+    """The outcome of a fit of a component to clouds and silhouettes, as a file holds it.
+
+    Attributes:
+        model: The fitted component, in its own frame.
+        pose: From the model's frame to the target's.
+        agreements: Every target beside the fitted surface, in the order in which they were given.
+        freedom: How many numbers the fit could choose: free parameters, those of a pose among them, or
+            what the coefficients of a smoothed sheet amount to.
+        ranking: Of model="auto", the families that were tried, the best first; else empty.
+        profiles: Profile likelihoods by parameter, as far as they were asked for (`with_profile`).
+        pose_stderr: Standard errors of a fitted pose: turn_x, turn_y and turn_z about the model's axes
+            in rad, shift_x, shift_y and shift_z in the target's unit, and scale. Empty if it was known.
+        in_image: Whether it is a fit of a mask without a camera. Its values then have the place in the
+            image too: scale, in pixels a unit, and shift_x and shift_y, in pixels.
+        made_by: The version of petalfit that made it.
+        command: The command line that made it; empty if none did.
+    """
+
+    model: AbstractSurface
+    pose: Pose
+    agreements: tuple[Agreement, ...]
+    freedom: float
+    ranking: tuple[Rank, ...] = ()
+    pose_stderr: dict[str, float] = dataclasses.field(default_factory=dict)
+    profiles: dict[str, Profile] = dataclasses.field(default_factory=dict)
+    in_image: bool = False
+    made_by: str = f"petalfit {PETALFIT}"
+    command: str = ""
+
+    @property
+    def input_hash(self) -> str:
+        """SHA-256 of the numbers of the targets: the same for the same data, whatever their file."""
+        whole = hashlib.sha256()
+        for part in self.agreements:
+            for block in part.target.content():
+                whole.update(block)
+        return whole.hexdigest()
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation σ of the first target's noise, given or estimated, in its unit."""
+        return self.agreements[0].noise
+
+    @property
+    def rms(self) -> float:
+        """Root mean square distance of the first target's data to the surface, in its unit."""
+        return self.agreements[0].rms
+
+    @property
+    def misfit(self) -> MisfitMap | None:
+        """The mean distances of the first target over the surface; None for a silhouette."""
+        return self.agreements[0].misfit(self.model.domain)
+
+    @property
+    def distances(self) -> Float64[np.ndarray, " n"]:
+        """Signed distances of all data, one target after the other; see `Agreement`."""
+        return np.concatenate([part.distances for part in self.agreements])
+
+    @property
+    def weights(self) -> Float64[np.ndarray, " n"]:
+        """The weight every datum had in the fit, one target after the other."""
+        return np.concatenate([part.weights for part in self.agreements])
+
+    @property
+    def declared(self) -> dict[str, Parameter]:
+        """The declarations of the model's parameters, and of a fitted place in an image."""
+        found = super().declared
+        if self.in_image:
+            width, height = map(float, self.agreements[0].target.extent)
+            scale = self.values["scale"]
+            typical = {
+                "scale": (0.3 * scale, 3 * scale),
+                "shift_x": (0.0, width),
+                "shift_y": (0.0, height),
+            }
+            own = parameters(Posed)
+            for name in Posed.in_image:
+                found[name] = dataclasses.replace(own[name], unit="px", typical=typical[name])
+        return found
+
+    def ranked(self: Record, ranking: tuple[Rank, ...]) -> Record:
+        """The result as the best of several families, which a note then says."""
+        _, *others = ranking
+        words = [f"{other.model} is worse by {other.delta_bic:.0f} in BIC" for other in others]
+        return dataclasses.replace(self, ranking=ranking, notes=(*self.notes, *words))
+
+    def mesh(self, resolution: tuple[int, int] = (65, 65)) -> trimesh.Trimesh:
+        """The fitted surface as a triangle mesh with UVs, in the target's frame."""
+        return moved(self.model.mesh(resolution), self.pose)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write everything as JSON, lossless; `load` gives it back. Whole or not at all."""
+        with atomic_path(path) as temporary:
+            temporary.write_text(json.dumps(self._to_json(), indent=1, allow_nan=False) + "\n")
+
+    @classmethod
+    def load(
+        cls: type[Record],
+        path: str | os.PathLike[str],
+        model: type[AbstractSurface] | None = None,
+    ) -> Record:
+        """Read what `save` wrote.
+
+        Args:
+            path: Of the file.
+            model: The component that was fitted, if it is none of petalfit's own.
+
+        Raises:
+            TargetError: The file cannot be read, is damaged, or is no fit result of a known version, or
+                of a component that is not known.
+        """
+        try:
+            with open(path, encoding="utf-8") as file:
+                content = json.load(file)
+        except (OSError, ValueError) as error:
+            raise TargetError(
+                f"{os.fspath(path)} cannot be read as a fit result: {error}"
+            ) from None
+        if not isinstance(content, dict) or content.get("format") != FORMAT:
+            raise TargetError(f"{os.fspath(path)} is not a fit result; `petalfit fit` writes them.")
+        if content.get("version") != VERSION:
+            again = content.get("command") or "petalfit fit TARGET --out DIR"
+            raise TargetError(
+                f"{os.fspath(path)} has version {content.get('version')} of the format, and this "
+                f"petalfit reads version {VERSION}. Fit the target again: {again}"
+            )
+        name = content.get("model")
+        kind = model or models().get(str(name))
+        if kind is None or kind.__name__ != name:
+            raise TargetError(
+                f"{os.fspath(path)} is a fit of a {name}, which petalfit does not know: give its class "
+                "as model."
+            )
+        try:
+            return cls._from_json(content, kind)
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            raise TargetError(
+                f"{os.fspath(path)} is a damaged fit result ({error!r}); fit again."
+            ) from error
+
+    _apart: ClassVar[tuple[str, ...]] = ("model", "agreements", "warnings")
+
+    def _to_json(self) -> dict[str, Any]:
+        fields: dict[str, Any] = {
+            field.name: getattr(self, field.name)
+            for field in dataclasses.fields(self)
+            if field.name not in self._apart
+        }
+        fields["status"] = str(self.status)
+        fields["pose"] = dataclasses.asdict(self.pose)
+        fields["warnings"] = [warning.to_json() for warning in self.warnings]
+        fields["starts"] = [dataclasses.asdict(start) for start in self.starts]
+        fields["ranking"] = [dataclasses.asdict(rank) for rank in self.ranking]
+        fields["profiles"] = {name: dataclasses.asdict(p) for name, p in self.profiles.items()}
+        fields["agreements"] = [
+            {
+                "target": part.target.to_json(),
+                "distances": part.distances,
+                "weights": part.weights,
+                "noise": part.noise,
+                "uv": part.uv,
+            }
+            for part in self.agreements
+        ]
+        head: dict[str, Any] = {
+            "format": FORMAT,
+            "version": VERSION,
+            "model": type(self.model).__name__,
+            # For readers of the file alone; they follow from the other fields.
+            "converged": self.converged,
+            "message": self.message,
+        }
+        head["options"] = {
+            field.name: encode(getattr(self.model, field.name))
+            for field in dataclasses.fields(self.model)
+            if field.metadata.get("static") or np.ndim(getattr(self.model, field.name)) > 0
+        }
+        return head | {name: encode(value) for name, value in fields.items()}
+
+    @classmethod
+    def _from_json(
+        cls: type[Record], content: dict[str, Any], kind: type[AbstractSurface]
+    ) -> Record:
+        fields = {name: decode(value) for name, value in content.items()}
+        options = {
+            name: np.array(x, float) if isinstance(x, list) else x
+            for name, x in fields["options"].items()
+        }
+        model = kind(**options)
+        for name in parameters(model):
+            model = with_value(model, name, float(fields["values"][name]))
+        pose, count = fields["pose"], len(fields["names"])
+        kept = {field.name for field in dataclasses.fields(cls)} & fields.keys()
+        return cls(
+            **{name: fields[name] for name in kept}
+            | {
+                "model": model,
+                "status": Status(fields["status"]),
+                "pose": Pose(
+                    np.array(pose["rotation"]), np.array(pose["translation"]), pose["scale"]
+                ),
+                "names": tuple(fields["names"]),
+                "covariance": np.array(fields["covariance"], float).reshape(count, count),
+                "notes": tuple(fields["notes"]),
+                "warnings": tuple(map(FitWarning.from_json, fields["warnings"])),
+                "starts": tuple(Start(**start) for start in fields["starts"]),
+                "ranking": tuple(Rank(**rank) for rank in fields["ranking"]),
+                "profiles": {
+                    name: Profile(tuple(p["values"]), tuple(p["delta_chi2"]))
+                    for name, p in fields["profiles"].items()
+                },
+                "agreements": tuple(
+                    Agreement(
+                        observation_from_json(part["target"]),
+                        np.array(part["distances"], float),
+                        np.array(part["weights"], float),
+                        part["noise"],
+                        None if part["uv"] is None else np.array(part["uv"], float),
+                    )
+                    for part in fields["agreements"]
+                ),
+            }
+        )

@@ -1,0 +1,31 @@
+"""How a fit ended: one enum, with the meaning of each outcome."""
+
+from __future__ import annotations
+
+import enum
+
+
+class Status(enum.StrEnum):
+    """How a fit ended. Each member is the string that files and tables hold.
+
+    Attributes:
+        meaning: One sentence for people.
+    """
+
+    meaning: str
+
+    CONVERGED = "converged", "The solver settled on a model that follows the target."
+    ROUND_LIMIT = "round_limit", "The parameters still moved when the last iteration ended."
+    MISFIT = "misfit", "The target is far from every shape that the model can take."
+    NOT_FINITE = "not_finite", "The solver met values that are not finite."
+    UNUSABLE = "unusable", "The target, or the options for it, cannot be used."
+    ERROR = "error", "The fit raised an error that was not expected."
+    CRASHED = "crashed", "The process that fitted the target died, for want of memory for instance."
+    NOT_WRITTEN = "not_written", "The result could not be written to its folder."
+
+    def __new__(cls, value: str, meaning: str) -> Status:
+        """A member that is its string and carries its meaning."""
+        member = str.__new__(cls, value)
+        member._value_ = value
+        member.meaning = meaning
+        return member

@@ -1,0 +1,116 @@
+"""Reasons to doubt a result, as data: what kind of reason, which parameters, and a sentence."""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+
+class WarningKind(enum.StrEnum):
+    """What a warning is about. Each member is the string that files hold.
+
+    Attributes:
+        meaning: One sentence for people.
+    """
+
+    meaning: str
+
+    NOT_DETERMINED = "not_determined", "The target does not determine a parameter."
+    AT_BOUND = "at_bound", "A parameter ended at the bound of its range."
+    COMBINATION = "combination", "Only a combination of parameters is determined."
+    RIVALS = "rivals", "Other starts ended elsewhere, almost as well."
+    FLIPS = "flips", "The parameters alternate between two states that are nearly the same."
+    NOISE = "noise", "Distances are larger than the noise that was given."
+    OUTLIERS = "outliers", "Some points lie far beyond the typical distance."
+    COVERAGE = "coverage", "Part of the surface has no data near it."
+    SYSTEMATIC = (
+        "systematic",
+        "Distances have a pattern: the model cannot follow all of the target.",
+    )
+    RELATIVE_LENGTHS = "relative_lengths", "Without a camera, lengths have no unit."
+    NO_PATTERN = "no_pattern", "The texture shows no pattern of the kind that was fitted."
+    CONTRAST = "contrast", "What a pattern leaves unexplained is large beside its contrast."
+    COLOURS = "colours", "The texture has more than two colours and their mixtures."
+
+    def __new__(cls, value: str, meaning: str) -> WarningKind:
+        """A member that is its string and carries its meaning."""
+        member = str.__new__(cls, value)
+        member._value_ = value
+        member.meaning = meaning
+        return member
+
+
+class FitWarning(str):
+    """One reason to doubt a result: a sentence, which is the string itself, with its kind.
+
+    Programs use the kind and the parameters; people read the sentence.
+
+    Attributes:
+        kind: What it is about.
+        parameters: Names of the parameters that it concerns; empty if it concerns all of them.
+    """
+
+    kind: WarningKind
+    parameters: tuple[str, ...]
+
+    def __new__(
+        cls, text: str, kind: WarningKind | str, parameters: Iterable[str] = ()
+    ) -> FitWarning:
+        """A warning.
+
+        Args:
+            text: The whole sentence.
+            kind: What it is about.
+            parameters: Names of the parameters that it concerns.
+        """
+        warning = super().__new__(cls, text)
+        warning.kind = WarningKind(kind)
+        warning.parameters = tuple(parameters)
+        return warning
+
+    def __getnewargs__(self) -> tuple[str, str, tuple[str, ...]]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        return str(self), str(self.kind), self.parameters
+
+    @property
+    def text(self) -> str:
+        """The whole sentence."""
+        return str(self)
+
+    @property
+    def parameter(self) -> str | None:
+        """The parameter that it concerns, if that is a single one."""
+        return self.parameters[0] if len(self.parameters) == 1 else None
+
+    @property
+    def about(self) -> str:
+        """The sentence without the name of the parameter that it begins with, for a table's row."""
+        return self.text.removeprefix(f"{self.parameter} ")
+
+    def to_json(self) -> dict[str, Any]:
+        """The warning as JSON holds it."""
+        return {"kind": str(self.kind), "parameters": [*self.parameters], "text": self.text}
+
+    @classmethod
+    def from_json(cls, content: dict[str, Any]) -> FitWarning:
+        """The warning that `to_json` described."""
+        return cls(content["text"], content["kind"], content["parameters"])
+
+
+def of_kind(warnings: Iterable[FitWarning], kind: WarningKind) -> list[FitWarning]:
+    """Those of one kind."""
+    return [warning for warning in warnings if warning.kind is kind]
+
+
+def one_of_each(warnings: Iterable[FitWarning]) -> Iterator[tuple[str, list[str]]]:
+    """Warnings that say the same of several parameters as one: what is said, and of which parameters.
+
+    Those on no single parameter come first, with an empty list.
+    """
+    of_parameters: dict[str, list[str]] = {}
+    for warning in warnings:
+        if warning.parameter is None:
+            yield warning.text, []
+        else:
+            of_parameters.setdefault(warning.about, []).append(warning.parameter)
+    yield from of_parameters.items()
