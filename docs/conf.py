@@ -18,15 +18,12 @@ root_doc = "docs/index"
 include_patterns = ["docs/**.md", "notebooks/**.py", "benchmarks/RESULTS.md"]
 exclude_patterns = [".*", "build", "petalfit", "tests", "data_synthetic", "notebooks/pictures.py"]
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "extension"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "extension", "execution"]
 nitpicky = True
 
-# Notebooks are stored without outputs, and every build runs them.
-nb_custom_formats = {".py": ["jupytext.reads", {"fmt": "py:percent"}]}
-nb_execution_mode = "force"
-nb_execution_raise_on_error = True
-nb_execution_timeout = 180  # seconds for a cell: the first one compiles
-nb_execution_show_tb = True
+# Notebooks are run while other pages are read (execution.py), and come with their outputs.
+nb_custom_formats = {".py": ["execution.executed", {}]}
+nb_execution_mode = "off"
 nb_merge_streams = True
 nb_render_markdown_format = "gfm"  # of tables in outputs
 # What one notebook compiled is there for the next.
