@@ -9,6 +9,9 @@ import pytest
 
 from benchmarks.chromium import OPTIONS, program
 
+# Milliseconds after which something hangs, and is not merely slow on a busy machine.
+A_WHILE = 1_800_000
+
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, ConsoleMessage, Page
 
@@ -20,10 +23,13 @@ def browser() -> Iterator[Browser]:
     found = program()
     if found is None:
         pytest.skip("there is no chromium on PATH: apt-get install chromium")
-    from playwright.sync_api import sync_playwright
+    from playwright.sync_api import expect, sync_playwright
 
+    expect.set_options(timeout=A_WHILE)
     with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=found, args=[*OPTIONS])
+        chromium = playwright.chromium.launch(
+            executable_path=found, args=[*OPTIONS], timeout=A_WHILE
+        )
         yield chromium
         chromium.close()
 

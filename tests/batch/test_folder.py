@@ -2,11 +2,8 @@
 
 import errno
 import json
-import os
-import signal
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pyarrow.parquet
@@ -215,21 +212,39 @@ def test_command(source, finished, capsys):
     assert "manifest" in capsys.readouterr().err
 
 
+# The command with Ctrl-C after its third target, as a terminal sends it: to every process.
+INTERRUPTED = """
+import os, signal, sys
+from petalfit.batch import folder
+from petalfit.cli import main
+
+def three(*arguments, every=folder.as_finished):
+    for count, done in enumerate(every(*arguments), 1):
+        yield done
+        if count == 3:
+            os.killpg(0, signal.SIGINT)
+
+folder.as_finished = three
+sys.exit(main(sys.argv[1:]))
+"""
+
+
 def test_interrupted_killed_and_resumed_on_a_cluster(source, tmp_path):
-    """Ctrl-C, the death of a worker, and the same command again: every target has one row."""
-    command = [sys.executable, "-m", "petalfit", "batch", str(source), "--out", str(tmp_path),
-               "--model", "Ellipsoid", "--scheduler", "local", "--workers", "2"]  # fmt: skip
-    records = lambda: [*tmp_path.rglob("record.json")]  # noqa: E731
-    run = subprocess.Popen(command, start_new_session=True, stderr=subprocess.PIPE, text=True)
-    began = time.monotonic()
-    while len(records()) < 3 and time.monotonic() - began < 200:
-        time.sleep(0.05)
-    os.killpg(run.pid, signal.SIGINT)
-    error = run.communicate(timeout=60)[1]
-    assert run.returncode == 130
-    assert "the same command goes on" in error
-    assert len(table(tmp_path)) == len(records()) >= 3
-    again = subprocess.run(command, capture_output=True, text=True, timeout=200)
+    """Ctrl-C, the death of every worker, and the same command again: every target has one row."""
+    command = ["batch", str(source), "--out", str(tmp_path), "--model", "Ellipsoid",
+               "--scheduler", "local", "--workers", "2"]  # fmt: skip
+    run = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED, *command],
+        start_new_session=True,
+        capture_output=True,
+        text=True,
+    )
+    assert run.returncode == 130, run.stderr
+    assert "the same command goes on" in run.stderr
+    assert 3 <= len(table(tmp_path)) == len([*tmp_path.rglob("record.json")])
+    again = subprocess.run(
+        [sys.executable, "-m", "petalfit", *command], capture_output=True, text=True
+    )
     assert again.returncode == 3, again.stderr
     assert f"{COUNT + len(ROTTEN)} targets" in again.stdout
     ids = [row["id"] for row in table(tmp_path)]

@@ -108,12 +108,11 @@ def test_is_heard_though_a_library_swallows_it(
         try:
             signal.raise_signal(signal.SIGINT)
         except BaseException:  # as around trimesh's optional imports
-            time.sleep(30.0)
+            time.sleep(600.0)  # until it is heard
+        raise AssertionError("nobody heard it")
 
     monkeypatch.setattr("petalfit.fitting.fit_petal", deaf)
-    begin = time.monotonic()
     interrupted(petalfit, cloud_file, tmp_path / "out")
-    assert time.monotonic() - begin < 5.0
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 

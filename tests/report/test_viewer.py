@@ -7,6 +7,7 @@ import io
 import json
 import math
 import re
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from petalfit.report.colour import POSITIVE
 from petalfit.report.scene import OBLIQUE, Scene
 from petalfit.report.viewer import viewer
 from petalfit.results import Agreement
+from tests.browser import A_WHILE
 from tests.fitted import NOISE, changed, known_pose, posed
 
 SCRIPT = re.compile(r"<script(.*?)>(.*?)</script>", re.DOTALL)
@@ -169,6 +171,7 @@ class Opened:
         self.context = browser.new_context(viewport={"width": 900, "height": 800}, **options)
         self.complaints: list[str] = []
         self.requests: list[str] = []
+        self.context.set_default_timeout(A_WHILE)
         self.page = self.context.new_page()
         self.page.on("console", lambda message: self.complaints.append(message.text))
         self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
@@ -186,6 +189,11 @@ class Opened:
         )
         shot = np.asarray(Image.open(io.BytesIO(self.page.locator("canvas").screenshot())))
         return shot[8:-8, 8:-8]  # the frame around it tells whether it has the focus
+
+    def until(self, condition: Callable[[], bool]) -> None:
+        """Waits for what the page does in its own time."""
+        while not condition():
+            self.page.wait_for_timeout(20)
 
     def shows(self, selector: str) -> bool:
         return self.page.locator(selector).first.is_visible()
@@ -224,8 +232,10 @@ class TestInABrowser:
         mouse.up()
         turned = view.picture()
         assert (turned != first).any(axis=-1).mean() > 0.02
-        mouse.wheel(0, -300)
-        view.page.wait_for_timeout(100)
+        bar = view.page.locator(".scale")
+        length = bar.inner_text(), bar.bounding_box()
+        mouse.wheel(0, -300)  # which arrives later
+        view.until(lambda: (bar.inner_text(), bar.bounding_box()) != length)
         assert (view.picture() != turned).any(axis=-1).mean() > 0.02
         mouse.dblclick(*middle)
         np.testing.assert_array_equal(view.picture(), first)
@@ -273,8 +283,7 @@ class TestInABrowser:
         before, place = view.picture(), view.page.evaluate("scrollY")
         canvas.hover()
         view.page.mouse.wheel(0, 40)
-        view.page.wait_for_timeout(300)
-        assert view.page.evaluate("scrollY") > place
+        view.page.wait_for_function("place => scrollY > place", arg=place)
         np.testing.assert_array_equal(view.picture(), before)
 
     def test_sharp_on_any_screen_and_as_wide_as_it(self, opened):
@@ -330,11 +339,12 @@ class TestInABrowser:
         view.page.add_init_script(
             "window.frames_asked = 0; const ask = window.requestAnimationFrame.bind(window);"
             "window.requestAnimationFrame = (f) => { window.frames_asked++; return ask(f); };"
+            "window.frames = async (n) => { while (n--) await new Promise(ask); };"
         )
         view.go()
-        view.page.wait_for_timeout(200)
+        view.page.evaluate("window.frames(12)")  # in which one that does not rest asks for twelve
         asked = view.page.evaluate("window.frames_asked")
-        view.page.wait_for_timeout(200)
+        view.page.evaluate("window.frames(12)")
         assert view.page.evaluate("window.frames_asked") == asked
         assert 1 <= asked <= 3
 

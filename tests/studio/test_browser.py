@@ -14,10 +14,9 @@ import trimesh
 from playwright.sync_api import Page, expect
 
 import petalfit as pf
-from tests.browser import Watched
+from tests.browser import A_WHILE, Watched
 
 PETAL = pf.PeonyPetal(a_x=14.0, b_y=22.0, c=0.6, dx=0.4, dy=3.0)
-A_WHILE = 120_000  # milliseconds: for what has to be compiled first
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +32,7 @@ def url():
     assert address == f"http://127.0.0.1:{port}"
     yield address
     process.send_signal(2)
-    _, said = process.communicate(timeout=20)
+    _, said = process.communicate()
     assert process.returncode == 0
     assert "Traceback" not in said, said
 
@@ -42,10 +41,11 @@ def url():
 def opened(browser, url):
     """A page of its own, which must not have complained, nor asked anybody else for anything."""
     page = browser.new_page(viewport={"width": 1280, "height": 1000})
+    page.set_default_timeout(A_WHILE)
     watched = Watched(page)
     page.goto(url)
-    expect(page.get_by_text("Open a file")).to_be_visible(timeout=A_WHILE)
-    expect(page.get_by_role("button", name="Fit", exact=True)).to_be_enabled(timeout=A_WHILE)
+    expect(page.get_by_text("Open a file")).to_be_visible()
+    expect(page.get_by_role("button", name="Fit", exact=True)).to_be_enabled()
     yield page
     page.close()
     assert not watched.errors
@@ -58,7 +58,7 @@ def upload(page: Page, path: Path) -> None:
 
 def fit(page: Page) -> None:
     page.get_by_role("button", name="Fit", exact=True).click()
-    expect(page.get_by_text("converged")).to_be_visible(timeout=A_WHILE)
+    expect(page.get_by_text("converged")).to_be_visible()
 
 
 def choose(page: Page, label: str, option: str) -> None:
@@ -72,7 +72,7 @@ def value(page: Page, name: str) -> float:
 
 
 def complaint(page: Page, sentence: str) -> None:
-    expect(page.get_by_text(sentence, exact=False).first).to_be_visible(timeout=A_WHILE)
+    expect(page.get_by_text(sentence, exact=False).first).to_be_visible()
 
 
 @pytest.fixture
@@ -95,14 +95,14 @@ def test_a_cloud_is_fitted_edited_and_taken_home(opened, cloud, tmp_path):
     for _ in range(20):
         thumb.press("ArrowRight")
     edited = opened.get_by_text("as the sliders say: rms")
-    expect(edited).to_be_visible(timeout=A_WHILE)
-    expect(edited).not_to_have_text(re.compile(r" 1 times the fit's"), timeout=A_WHILE)
-    with opened.expect_download(timeout=A_WHILE) as download:
+    expect(edited).to_be_visible()
+    expect(edited).not_to_have_text(re.compile(r" 1 times the fit's"))
+    with opened.expect_download() as download:
         opened.get_by_role("button", name="petal.glb").click()
     download.value.save_as(tmp_path / "petal.glb")
     mesh = trimesh.load(tmp_path / "petal.glb", force="mesh")
     assert len(mesh.vertices) == 65 * 65
-    with opened.expect_download(timeout=A_WHILE) as download:
+    with opened.expect_download() as download:
         opened.get_by_role("button", name="fit.json").click()
     download.value.save_as(tmp_path / "fit.json")
     result = pf.FitResult.load(tmp_path / "fit.json")
@@ -170,19 +170,20 @@ def test_browsers_do_not_disturb_each_other(opened, browser, url, cloud):
     opened.get_by_role("button", name="Fit", exact=True).dblclick()
     # Somebody else begins a fit and goes away.
     other = browser.new_page()
+    other.set_default_timeout(A_WHILE)
     other.goto(url)
-    expect(other.get_by_role("button", name="Fit", exact=True)).to_be_enabled(timeout=A_WHILE)
+    expect(other.get_by_role("button", name="Fit", exact=True)).to_be_enabled()
     other.get_by_role("button", name="Fit", exact=True).click()
     time.sleep(0.2)
     other.close()
-    expect(opened.get_by_text("converged")).to_be_visible(timeout=A_WHILE)
+    expect(opened.get_by_text("converged")).to_be_visible()
     expect(opened.get_by_text("half: the half").first).to_be_attached()
 
 
 def test_a_flower_grows_and_is_taken_home(opened, tmp_path):
     opened.get_by_role("button", name="Flower", exact=True).click()
-    expect(opened.get_by_text("6 petals, 6 stamens, 1 pistil")).to_be_visible(timeout=A_WHILE)
-    with opened.expect_download(timeout=A_WHILE) as download:
+    expect(opened.get_by_text("6 petals, 6 stamens, 1 pistil")).to_be_visible()
+    with opened.expect_download() as download:
         opened.get_by_role("button", name="flower.glb").click()
     download.value.save_as(tmp_path / "flower.glb")
     scene = trimesh.load(tmp_path / "flower.glb")
