@@ -1,7 +1,12 @@
 """Every test runs with petalfit's shapes and types checked as it goes."""
 
+import ctypes
+import gc
 import os
+import sys
+import tempfile
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 
 import pytest
 from hypothesis import settings
@@ -18,18 +23,55 @@ settings.register_profile("ci", deadline=None, derandomize=True, database=None, 
 settings.load_profile("ci" if os.environ.get("CI") else "default")
 
 
-@pytest.fixture(autouse=True, scope="session")
-def programs_in_common(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """What one process has compiled the others load: those that run tests, and those that tests start."""
-    from petalfit.compilation.cache import VARIABLE, compilation_cache
+# What Program asks of the compiler, for what is computed outside of one: two fifths less to wait for.
+_FLAGS = "--xla_llvm_disable_expensive_passes=true --xla_cpu_use_fusion_emitters=false"
 
-    folder = tmp_path_factory.getbasetemp()
+
+def pytest_configure(config: pytest.Config) -> None:
+    """What one process has compiled the others load: those that run tests, and those that tests start."""
     if "PYTEST_XDIST_WORKER" in os.environ:
-        folder = folder.parent
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(VARIABLE, str(folder / "cache"))
-        with compilation_cache():
-            yield
+        return
+    folder = tempfile.TemporaryDirectory(prefix="petalfit-")
+    patch = pytest.MonkeyPatch()
+    patch.setenv("PETALFIT_CACHE", folder.name)
+    patch.setenv("XLA_FLAGS", f"{os.environ.get('XLA_FLAGS', '')} {_FLAGS}".strip())
+    config.add_cleanup(folder.cleanup)
+    config.add_cleanup(patch.undo)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Iterator[None]:
+    """Some tests compute what they are parametrised with."""
+    with _programs():
+        return (yield)
+
+
+@pytest.fixture(autouse=True, scope="session")
+def programs_in_common() -> Iterator[None]:
+    """For fixtures that several files share."""
+    with _programs():
+        yield
+
+
+@pytest.fixture(autouse=True, scope="module")
+def programs_of_a_file(programs_in_common: None) -> Iterator[None]:
+    """Programs leave the memory with the file that needed them; the next one finds them in the folder."""
+    import jax
+
+    with _programs():
+        yield
+    jax.clear_caches()
+    gc.collect()
+    # What the compiler has freed glibc keeps: two thirds of a process that compiled hundreds of programs.
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
+    if trim is not None:
+        trim(0)
+
+
+def _programs() -> AbstractContextManager[bool]:
+    from petalfit.compilation.cache import compilation_cache
+
+    return compilation_cache()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
