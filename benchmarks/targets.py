@@ -10,6 +10,7 @@ import numpy as np
 
 import petalfit as pf
 from petalfit.surfaces import sample_uv
+from petalfit.surfaces.programs import position_and_normal
 from petalfit.synthetic import random_petal
 
 SIGMA = 0.05
@@ -64,7 +65,7 @@ def cramer_rao(petal: pf.PeonyPetal, n: int, seed: int, noise: float = SIGMA) ->
         u, v = (jnp.asarray(x, float) for x in sample_uv(petal, n, np.random.default_rng(seed)).T)
         values = jnp.array([float(getattr(petal, name)) for name in NAMES])
         jacobian = jax.jit(jax.jacfwd(position))(values, u, v)
-        normal = petal.normal(u, v)
+        _, normal = position_and_normal(petal, u, v)
         rows = np.asarray(jnp.einsum("nxp,nx->np", jacobian, normal)) / noise
     covariance = np.linalg.pinv(rows.T @ rows, hermitian=True)
     return dict(zip(NAMES, np.sqrt(np.diag(covariance)).tolist(), strict=True))
