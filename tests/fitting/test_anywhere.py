@@ -12,9 +12,10 @@ from scipy.spatial.transform import Rotation
 
 import petalfit as pf
 from benchmarks.targets import among_strays, cloud_of, petal_of
+from petalfit.fitting.inference.verdict import about_distances
 from petalfit.fitting.likelihood.mixture import mixture
 from petalfit.fitting.outliers.local_planes import on_sheets
-from petalfit.results import MisfitMap
+from petalfit.results import Agreement, MisfitMap
 from petalfit.surfaces import sample_uv
 from petalfit.synthetic import random_petal
 
@@ -291,3 +292,12 @@ def test_a_start_that_all_points_leave_is_an_end_like_others():
     assert result.starts[0].delta_chi2 == 0
     assert all(np.isfinite([start.rms, start.delta_chi2]).all() for start in result.starts)
     assert "are taken for outliers" in result.message
+
+
+def test_nothing_is_said_of_points_that_all_belong_elsewhere():
+    """But how many they are; the median of no distances would be a warning of numpy's."""
+    cloud = pf.PeonyPetal().sample(200, seed=0)
+    part = Agreement(cloud, np.full(200, 30.0), np.full(200, 1e-9), SIGMA)
+    assert part.outliers == 200
+    assert about_distances(part, None) == []
+    assert about_distances(part, SIGMA) == ["distances are 600.0 times the given noise"]

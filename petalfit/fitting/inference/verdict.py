@@ -145,7 +145,7 @@ def about_distances(part: Agreement, noise: float | None) -> list[FitWarning]:
     if part.unit != "length":
         return []
     used = np.abs(part.distances[part.used])
-    typical = spread_of(used)
+    typical = spread_of(used) if len(used) else np.inf
     found = []
     if noise is not None and part.rms > 1.5 * noise:
         text = f"distances are {part.rms / noise:.1f} times the given noise"
