@@ -225,6 +225,7 @@ def three(*arguments, every=folder.as_finished):
             os.killpg(0, signal.SIGINT)
 
 folder.as_finished = three
+signal.signal(signal.SIGINT, signal.default_int_handler)  # which a shell's background ignores
 sys.exit(main(sys.argv[1:]))
 """
 
