@@ -33,7 +33,7 @@ studio: $(READY)  ## fit petals of your own in the browser
 
 .PHONY: test
 test: lint  ## lint, then every test that is not slow
-	$(BIN)/pytest --numprocesses auto --maxprocesses 4 --dist loadfile
+	$(BIN)/pytest --numprocesses auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 
 .PHONY: test-slow
 test-slow: $(READY)  ## the slow tests alone

@@ -76,7 +76,24 @@ def _programs() -> AbstractContextManager[bool]:
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Files that take longest come first, so that no process is left alone with one of them."""
-    items.sort(key=lambda item: item.path.name not in _LONGEST)
+    order = {name: place for place, name in enumerate(_LONGEST)}
+    items.sort(key=lambda item: order.get(item.path.name, len(order)))
 
 
-_LONGEST = {"test_documentation.py", "test_silhouettes.py"}
+_LONGEST = (
+    "test_documentation.py",
+    "test_silhouettes.py",
+    "test_anywhere.py",
+    "test_sheets.py",
+    "test_colours.py",
+    "test_organs.py",
+    "test_folder.py",
+    "test_browser.py",
+    "test_many.py",
+    "test_fit.py",
+    "test_recovery.py",
+    "test_view_pose.py",
+    "test_surface.py",
+    "test_flower.py",
+    "test_implicit.py",
+)
