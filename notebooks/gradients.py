@@ -6,8 +6,8 @@
 #
 # A converged fit solves F(t, data) = 0, where F is the gradient of its cost. The implicit function
 # theorem gives dt = −(∂F/∂t)⁻¹ ∂F/∂data, so the iterations need not be differentiated
-# (`petalfit.fitting.solver.implicit`). The gradient shows how strongly each point affects each parameter. It
-# also allows a fit to be a part of a larger model that is trained or optimised.
+# (`petalfit.fitting.solver.implicit`). The gradient shows how strongly each point affects each
+# parameter. It also allows a fit to be a part of a larger model that is trained or optimised.
 
 # %%
 import jax
