@@ -47,3 +47,17 @@ def test_links_and_pictures_exist(page):
 def test_every_figure_of_the_paper_has_its_picture():
     text = (DOCS / "gallery.md").read_text(encoding="utf-8")
     assert all(f"gallery/figure_{k}.png" in text for k in range(1, 10))
+
+
+def test_figures_of_the_readme_are_those_of_the_results():
+    """Each row of its table names a row of the benchmarks, and has the number that stands there."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    results = (ROOT / "benchmarks" / "RESULTS.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| .+ \| ([\d.]+)([^|]*) \| `([\w.]+)` \|$", text, re.MULTILINE)
+    assert len(rows) > 10
+    for number, unit, name in rows:
+        label = name.partition(".")[2].replace("_", " ")
+        assert re.search(
+            rf"^\| {label} \| {re.escape((number + unit).strip())} \|", results, re.M
+        ), name
+    assert len(text.splitlines()) <= 120

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import enum
+from petalfit.results.meaning import WithMeaning
 
 
-class Status(enum.StrEnum):
+class Status(WithMeaning):
     """How a fit ended. Each member is the string that files and tables hold.
 
     Attributes:
         meaning: One sentence for people.
     """
-
-    meaning: str
 
     CONVERGED = "converged", "The solver settled on a model that follows the target."
     ROUND_LIMIT = "round_limit", "The parameters still moved when the last iteration ended."
@@ -22,10 +20,3 @@ class Status(enum.StrEnum):
     ERROR = "error", "The fit raised an error that was not expected."
     CRASHED = "crashed", "The process that fitted the target died, for want of memory for instance."
     NOT_WRITTEN = "not_written", "The result could not be written to its folder."
-
-    def __new__(cls, value: str, meaning: str) -> Status:
-        """A member that is its string and carries its meaning."""
-        member = str.__new__(cls, value)
-        member._value_ = value
-        member.meaning = meaning
-        return member

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import enum
 from collections.abc import Iterable, Iterator
 from typing import Any
 
+from petalfit.results.meaning import WithMeaning
 
-class WarningKind(enum.StrEnum):
+
+class WarningKind(WithMeaning):
     """What a warning is about. Each member is the string that files hold.
 
     Attributes:
         meaning: One sentence for people.
     """
-
-    meaning: str
 
     NOT_DETERMINED = "not_determined", "The target does not determine a parameter."
     AT_BOUND = "at_bound", "A parameter ended at the bound of its range."
@@ -32,13 +31,6 @@ class WarningKind(enum.StrEnum):
     NO_PATTERN = "no_pattern", "The texture shows no pattern of the kind that was fitted."
     CONTRAST = "contrast", "What a pattern leaves unexplained is large beside its contrast."
     COLOURS = "colours", "The texture has more than two colours and their mixtures."
-
-    def __new__(cls, value: str, meaning: str) -> WarningKind:
-        """A member that is its string and carries its meaning."""
-        member = str.__new__(cls, value)
-        member._value_ = value
-        member.meaning = meaning
-        return member
 
 
 class FitWarning(str):

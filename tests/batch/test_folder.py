@@ -140,7 +140,10 @@ def test_a_place_that_cannot_be_written_is_a_status(source, tmp_path):
     (tmp_path / "file").touch()
     item = items_of(source, OPTIONS)[0]
     record = keep(
-        Task(item, tmp_path / "file" / "below", None), pf.FitFailure("unusable", "x"), "", 0.0
+        Task(item, tmp_path / "file" / "below", None),
+        pf.FitFailure(pf.Status.UNUSABLE, "x"),
+        "",
+        0.0,
     )
     assert record["status"] == "not_written"
     assert not record["disk_full"]

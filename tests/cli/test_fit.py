@@ -41,7 +41,7 @@ def test_fit_from_nothing(petalfit: Call, cloud: PointCloud, tmp_path: Path) -> 
         assert abs(result.values[name] - truth) < 6 * result.stderr[name], name
         assert name in outcome.out
     assert "fixed" in outcome.out
-    summary = f"1500 points, rms distance {result.rms:.3g}, noise {result.noise:.3g} (estimated); "
+    summary = f"1,500 points, rms distance {result.rms:.3g}, noise {result.noise:.3g} (estimated); "
     assert summary + "converged after" in outcome.out
     for file in FILES:
         assert str(Path("where") / file) in outcome.out.replace("\n", "")

@@ -301,3 +301,19 @@ def test_nothing_is_said_of_points_that_all_belong_elsewhere():
     assert part.outliers == 200
     assert about_distances(part, None) == []
     assert about_distances(part, SIGMA) == ["distances are 600.0 times the given noise"]
+
+
+def test_outliers_are_found_in_a_joint_fit():
+    """Of two clouds with clutter of their own, and of half a cloud with clutter beside a mask."""
+    petal = petal_of(3004)
+    rng = np.random.default_rng(8)
+    clouds = [among_strays(petal.sample(700, seed=k, noise=SIGMA).points, 0.2, rng) for k in (1, 2)]
+    result = pf.fit_petal(clouds, loss="robust")
+    for name in result.names:
+        if result.identifiable[name]:
+            assert abs(result.values[name] - getattr(petal, name)) < 5 * result.stderr[name], name
+    for part in result.agreements:
+        assert part.used[:560].mean() > 0.97
+        assert part.used[560:].mean() < 0.1
+    with pytest.raises(pf.TargetError, match="is there for clouds"):
+        pf.fit_petal(np.eye(64)[:, ::-1] > -1, loss="robust")

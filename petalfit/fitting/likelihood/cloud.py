@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,6 +17,7 @@ from petalfit.fitting.likelihood.foot_points import (
     nearer_foot_points,
     signed_distance,
 )
+from petalfit.fitting.likelihood.mixture import Mixture
 from petalfit.fitting.likelihood.observed import (
     AbstractObserved,
     Residuals,
@@ -48,10 +50,13 @@ class ObservedCloud(AbstractObserved):
     Attributes:
         data: The cloud.
         sample: A part of it that is large enough to measure the bias on; None for all of it.
+        weigh: Finds the points that belong to a model, as the mixture of a background does, every time
+            that points are matched; None if all of them do.
     """
 
     data: Data
     sample: Data | None = None
+    weigh: Callable[..., Mixture] | None = None
 
     @classmethod
     def of(
@@ -64,13 +69,17 @@ class ObservedCloud(AbstractObserved):
 
     @classmethod
     def used(
-        cls, cloud: PointCloud, noise: float | None, rng: np.random.Generator
+        cls,
+        cloud: PointCloud,
+        noise: float | None,
+        rng: np.random.Generator,
+        weigh: Callable[..., Mixture] | None = None,
     ) -> ObservedCloud:
         """The points of a cloud that have a weight."""
-        weights = np.ones(len(cloud)) if cloud.weights is None else cloud.weights
-        some = weights > 0
+        some = cloud.mass > 0
         order = rng.permutation(np.count_nonzero(some))
-        return cls.of(cloud.points[some], weights[some], noise, order)
+        found = cls.of(cloud.points[some], cloud.mass[some], noise, order)
+        return dataclasses.replace(found, weigh=weigh)
 
     def misfit(self, model: AbstractSurface) -> float:
         """Mean logarithm of 1 + d², with d in hundredths of the cloud's extent."""
@@ -85,16 +94,34 @@ class ObservedCloud(AbstractObserved):
     def match(self, model: AbstractSurface, term: AbstractTerm | None) -> TangentDistance:
         points = self.data.points
         if term is None:
-            return self.at(programs.refine(model, points, guess_foot_points(model, points), 2))
+            uv = programs.refine(model, points, guess_foot_points(model, points), 2)
+            return self._weighed(model, self.at(uv))
         assert isinstance(term, TangentDistance)
         uv = programs.refine(model, points, term.uv, 2)
-        return TangentDistance(data=self.data, uv=uv, sigma=term.sigma)
+        return self._weighed(model, TangentDistance(data=self.data, uv=uv, sigma=term.sigma))
+
+    def _weighed(self, model: AbstractSurface, term: TangentDistance) -> TangentDistance:
+        """The term whose points count by the probability that they belong to the model."""
+        if self.weigh is None:
+            return term
+        weights = np.asarray(self.data.weights) * self._mixture(model, term).members
+        data = self.data._replace(weights=jnp.asarray(weights))
+        return TangentDistance(data=data, uv=term.uv, sigma=term.sigma)
+
+    def _mixture(self, model: AbstractSurface, term: TangentDistance) -> Mixture:
+        assert self.weigh is not None
+        here, points = programs.frames(model, term.uv), self.data.points
+        distance = np.asarray(here.distance(points))
+        beyond = np.max(np.asarray(here.beyond(points)), axis=-1)
+        given = float(self.data.sigma)
+        noise = None if np.isnan(given) else given
+        return self.weigh(model, distance, beyond, np.asarray(self.data.weights), noise)
 
     def information(
         self, coordinates: Coordinates, t: np.ndarray, term: AbstractTerm
     ) -> tuple[np.ndarray, float]:
         assert isinstance(term, TangentDistance)
-        seen = programs.linearise(coordinates, self.data, t, term.uv)
+        seen = programs.linearise(coordinates, term.data, t, term.uv)
         return np.asarray(seen.information), float(seen.sigma)
 
     def score_and_information(
@@ -102,7 +129,8 @@ class ObservedCloud(AbstractObserved):
     ) -> ScoreAndInformation:
         """With the score that noise and curvature cause; see `petalfit.residuals.curvature_bias`."""
         assert isinstance(term, TangentDistance)
-        data, sample, model = self.data, self.sample or self.data, coordinates.model(t)
+        data, model = term.data, coordinates.model(t)
+        sample = data if self.sample is None or self.weigh is not None else self.sample
         uv = programs.refine(model, data.points, term.uv, 1)
         seen = programs.linearise(coordinates, data, t, uv)
         places, position = uv, np.asarray(seen.position)
@@ -129,8 +157,10 @@ class ObservedCloud(AbstractObserved):
     ) -> list[Residuals]:
         assert isinstance(term, TangentDistance)
         distance = signed_distance(*self.beside(coordinates, t, term))
-        weights = np.asarray(self.data.weights)
+        weights = np.asarray(term.data.weights)
         chi2 = comparable(distance, weights)
+        if self.weigh is not None:
+            chi2 = -2 * self._mixture(coordinates.model(t), term).log_likelihood
         uv = np.asarray(term.uv)
         return [Residuals(distance, weights, float(term.sigma), "length", chi2, uv)]
 

@@ -118,9 +118,9 @@ def check_loss(
     """Refuses losses for targets and families in which no outliers are found."""
     if loss.name == "linear":
         return
-    if len(targets) > 1 or not isinstance(targets[0], PointCloud):
+    if not any(isinstance(target, PointCloud) for target in targets):
         raise TargetError(
-            f"loss={loss.name!r} is there for one cloud; masks discount outliers by themselves."
+            f"loss={loss.name!r} is there for clouds; masks discount outliers by themselves."
         )
     if not family.finds_outliers:
         raise TargetError(

@@ -34,8 +34,14 @@ Maker = Callable[
 def _clouds(
     clouds: Sequence[AbstractObservation], request: Request, rng: np.random.Generator
 ) -> list[AbstractObserved]:
-    """Each cloud by itself, with its own noise."""
-    return [ObservedCloud.used(x, request.noise, rng) for x in clouds if isinstance(x, PointCloud)]
+    """Each cloud by itself, with its own noise, and its own outliers if the loss finds any."""
+    made: list[AbstractObserved] = []
+    for cloud in clouds:
+        assert isinstance(cloud, PointCloud)
+        background = request.loss.background(cloud.points[cloud.mass > 0])
+        weigh = None if background is None else background.mixture
+        made.append(ObservedCloud.used(cloud, request.noise, rng, weigh))
+    return made
 
 
 def _silhouettes(
