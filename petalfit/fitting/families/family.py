@@ -1,4 +1,4 @@
-"""The protocol of a family of models: how its members are found in observations."""
+"""The protocol of a family of models: how they are fitted to observations."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ EVERY_POSE = ("known", "rigid", "similarity")
 
 
 class AbstractFamily(abc.ABC):
-    """How the models of one kind are fitted.
+    """A family of models: it knows how the models of one kind are fitted.
 
-    The rest of petalfit asks a family, and never the class of a model. `petalfit.register` makes a
-    family known; it is then used for its kind and for subclasses that have no family of their own.
+    The rest of petalfit asks the family of a model, and never the model's class. `petalfit.register` adds
+    a family, which is then used for its kind and for subclasses that have no family of their own.
 
     Attributes:
         kind: The class of the models.
-        poses: The poses in which one cloud can be fitted.
-        gauges: For each pose that is not known, the parameters that it makes redundant: they keep the
+        poses: The poses in which a single cloud can be fitted.
+        gauges: The parameters that a fitted pose makes redundant, by the name of the pose. They keep the
             template's values.
-        is_petal: Whether it takes part in model="auto".
-        takes: Options beyond the target, the pose and the loss that its fits use.
-        fewest: The least number of points; None for one more than there are free parameters.
-        sees_outlines: Whether it can be fitted to silhouettes, and to several targets jointly.
-        finds_outliers: Whether points may be outliers.
+        is_petal: Whether the family takes part in model="auto".
+        takes: Names of the options that its fits use, besides the target, the pose and the loss.
+        fewest: The least number of points of a cloud; None for one more than there are free parameters.
+        sees_outlines: Whether its models can be fitted to silhouettes, and to several targets jointly.
+        finds_outliers: Whether its fits accept a loss that allows for outliers.
         named_errors: Whether its parameters are free, and have errors.
     """
 
@@ -48,24 +48,26 @@ class AbstractFamily(abc.ABC):
 
     @abc.abstractmethod
     def fit_cloud(self, request: Request) -> list[Iterate]:
-        """Fit the family to one cloud, in the pose that the request asks for.
+        """Fits a model of the family to one cloud, in the pose that the request asks for.
+
+        Call it inside `jax.enable_x64(True)`.
 
         Args:
-            request: Its only target is a cloud. `free_in` says which names are free in its pose.
+            request: A request whose only target is a cloud. `free_in` gives the names that are free in
+                its pose.
 
         Returns:
             The end of each start, the best first, in the target's frame and unit. Models are `Posed`
-            unless the pose is known. The residuals of the best are those of all points as they came.
-            Call it inside `jax.enable_x64(True)`.
+            unless the pose is known. The best end has the residuals of all points, in the given order.
         """
 
     def free_in(self, pose: str, free: tuple[str, ...]) -> tuple[str, ...]:
-        """All that is free in a pose: what it leaves of the free parameters, and its own."""
+        """Names that are free in a pose: the parameters that it does not make redundant, and its own."""
         redundant = self.gauges.get(pose, ())
         return (*(name for name in free if name not in redundant), *Posed.free_in(pose))
 
     def rough(self, coordinates: Coordinates) -> Coordinates:
-        """Coordinates that hold what no outline shows while the rest is only roughly right."""
+        """Coordinates for a first, rough fit to outlines; parameters that show only later are held."""
         return coordinates
 
     def refined(
@@ -75,11 +77,11 @@ class AbstractFamily(abc.ABC):
         clouds: Sequence[ObservedCloud],
         views: ObservedViews,
     ) -> Iterator[tuple[str, AbstractSurface]]:
-        """More starts of a joint fit, with their labels, beside one that `rough` coordinates found.
+        """Further starts of a joint fit, with their labels, made from one that `rough` coordinates found.
 
         Args:
-            coordinates: Free parameters.
-            rough: The start that was found, which follows the outlines.
+            coordinates: The free parameters.
+            rough: The model of the start that was found, which follows the outlines.
             clouds: All clouds of the fit.
             views: All silhouettes of the fit.
         """
@@ -87,5 +89,5 @@ class AbstractFamily(abc.ABC):
         yield from ()
 
     def outcome(self, end: Iterate) -> str:
-        """How a fit that converged says so."""
+        """The sentence by which a converged fit describes its end."""
         return f"converged after {end.rounds} rounds"

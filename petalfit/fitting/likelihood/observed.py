@@ -1,4 +1,4 @@
-"""The protocol between observations and solvers."""
+"""The protocol between observations and solvers: what a solver asks of an observation."""
 
 from __future__ import annotations
 
@@ -14,14 +14,16 @@ from petalfit.surfaces import AbstractSurface
 
 
 class ScoreAndInformation(NamedTuple):
-    """Score and information of one observation where the solver stopped, in the coordinates t.
+    """Score and information of one observation at the end of a solve, for the coordinates t.
 
     Attributes:
         term: The term with converged foot points.
         information: Fisher information, shape (p, p).
-        score: Expected derivative of the cost at the truth, which is not zero: the cause of a bias.
-        score_covariance: Covariance of that derivative; the information if errors are independent.
-        notes: What the observation keeps for `second_correction`.
+        score: Expected derivative of the cost at the true parameters, shape (p,). It is not zero, which
+            is the cause of a bias.
+        score_covariance: Covariance of that derivative, shape (p, p); equal to the information if errors
+            are independent.
+        notes: Data of the observation's own, for its `second_correction`.
     """
 
     term: AbstractTerm
@@ -36,11 +38,11 @@ class Residuals(NamedTuple):
 
     Attributes:
         distance: Signed distance of every datum, shape (n,), in `unit`.
-        weights: Of every datum, shape (n,).
+        weights: Weight of every datum, shape (n,).
         noise: Standard deviation of the distances, given or estimated.
-        unit: "length", the target's, or "px".
+        unit: "length" for the target's unit of length, or "px" for pixels.
         chi2: n log of the mean squared distance, comparable between starts.
-        uv: Foot points of a cloud, shape (n, 2); none for a silhouette.
+        uv: Foot points of a cloud, shape (n, 2); None for a silhouette.
     """
 
     distance: Float[np.ndarray, " n"]
@@ -52,32 +54,32 @@ class Residuals(NamedTuple):
 
 
 class AbstractObserved(abc.ABC):
-    """The likelihood of one observation, or of several of a kind, as a solver needs it."""
+    """The likelihood of one observation, or of several of one kind together, as a solver uses it."""
 
     @abc.abstractmethod
     def match(self, model: AbstractSurface, term: AbstractTerm | None) -> AbstractTerm:
-        """The term with new correspondences; the search begins at those of `term`, if that is given."""
+        """The term with new correspondences; the search starts from those of `term`, if it is given."""
 
     @abc.abstractmethod
     def information(
         self, coordinates: Coordinates, t: Float[np.ndarray, " p"], term: AbstractTerm
     ) -> tuple[Float[np.ndarray, "p p"], float]:
-        """Fisher information of t, and the noise that it was computed with."""
+        """The Fisher information of t, and the standard deviation of the noise that it assumes."""
 
     @abc.abstractmethod
     def misfit(self, model: AbstractSurface) -> float:
-        """A mean logarithm of squared distances, by which starts are compared."""
+        """A mean logarithm of squared distances, by which starts are compared; small is good."""
 
     @abc.abstractmethod
     def score_and_information(
         self, coordinates: Coordinates, t: Float[np.ndarray, " p"], term: AbstractTerm
     ) -> ScoreAndInformation:
-        """Score and information of t where the solver stopped."""
+        """Score and information at the coordinates t where the solver stopped."""
 
     def second_correction(
         self, coordinates: Coordinates, t: Float[np.ndarray, " p"], found: ScoreAndInformation
     ) -> Float[np.ndarray, " p"]:
-        """What is still to be added to the score once the bias has been removed."""
+        """The score that remains at t once the first correction has been made; zero by default."""
         return np.zeros(len(t))
 
     @abc.abstractmethod

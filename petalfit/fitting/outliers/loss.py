@@ -1,4 +1,4 @@
-"""The protocol of a loss: how points that may not belong to the surface are treated."""
+"""The protocol of a loss: how a fit treats points that may not belong to the surface."""
 
 from __future__ import annotations
 
@@ -24,27 +24,27 @@ class AbstractBackground(abc.ABC):
         weights: Float[np.ndarray, " n"],
         noise: float | None,
     ) -> Mixture:
-        """The probability of each point to belong to a surface, by where it lies beside it.
+        """The probability of each point to belong to the surface, given its distances from it.
 
         Args:
             model: The surface.
-            distance: Normal distances. They may go on after the last of the weights, with those of
-                padding, and so may `beyond`.
-            beyond: How far each point lies beyond the edge, negative inside.
-            weights: How many observations each point counts for.
-            noise: σ, or None to estimate it.
+            distance: Normal distances. Both `distance` and `beyond` may be longer than `weights`; the
+                rest belongs to padding.
+            beyond: Distance of each point beyond the edge, negative inside.
+            weights: The number of observations that each point counts for.
+            noise: σ of the distances, or None to estimate it.
         """
 
 
 class AbstractLoss(abc.ABC):
-    """How a fit of a cloud treats points that may not belong to the surface.
+    """A loss: how a fit of a cloud treats points that may not belong to the surface.
 
-    A loss is a file in this folder, and one line in `petalfit.fitting.outliers.registry`. Every family
-    that has one surface can be fitted with it, alone or jointly.
+    To add a loss, add a file to this folder and a line to `petalfit.fitting.outliers.registry`. Every
+    family that has one surface can then be fitted with it to a single cloud.
 
     Attributes:
-        name: The word for it in `loss=`.
-        meaning: What it assumes, in a sentence for help.
+        name: The value of `loss=` that selects this loss.
+        meaning: Its assumption, as a sentence for help texts.
     """
 
     name: ClassVar[str]
@@ -52,10 +52,10 @@ class AbstractLoss(abc.ABC):
 
     @abc.abstractmethod
     def background(self, points: Float[np.ndarray, "n 3"]) -> AbstractBackground | None:
-        """What else may be among these points; None if all of them belong to the surface."""
+        """The model of points that do not belong to the surface; None if all points belong to it."""
 
     def likely(self, points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-        """Which points seem to belong to a surface, before any model is there."""
+        """Whether each point seems to belong to a surface, judged before there is any model."""
         return np.ones(len(points), bool)
 
     @abc.abstractmethod
@@ -67,13 +67,13 @@ class AbstractLoss(abc.ABC):
         area: float,
         noise: float,
     ) -> float:
-        """Log likelihood of points beside a fitted surface, to compare families by.
+        """Log likelihood of points given a fitted surface, by which families are compared.
 
-        The density is relative to that of points which are spread evenly in the box around them.
+        The density is relative to that of points spread evenly over the box around the points.
 
         Args:
             distance: Distances to the surface, not negative.
-            weights: How many observations each point counts for.
+            weights: The number of observations that each point counts for.
             volume: The volume of the box.
             area: The area of the surface.
             noise: σ of the fit.

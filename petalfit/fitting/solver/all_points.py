@@ -1,4 +1,4 @@
-"""Residuals of every point of a cloud, whether or not it had a weight."""
+"""Residuals of all points of a cloud, including those that had no weight in the fit."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from petalfit.observations import PointCloud
 def with_all_points(
     coordinates: Coordinates, end: Iterate, number: int, cloud: PointCloud
 ) -> Iterate:
-    """The end with the residuals of all points of a cloud, those without weight included.
+    """The end of a fit with the residuals of all points of a cloud, including those without weight.
 
     Args:
         coordinates: The free parameters.
-        end: An end whose residuals are those of the points with weight, padded.
-        number: The number of the cloud among the observations.
+        end: The end. Its residuals are those of the points with weight, followed by padding.
+        number: The index of the cloud among the observations.
         cloud: The cloud.
     """
     seen = end.residuals[number]

@@ -1,4 +1,4 @@
-"""Alternation of matching and solving: rounds of the compiled solver between searches for foot points."""
+"""Alternation of matching and solving: a search for foot points, then rounds of the compiled solver."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from petalfit.residuals import AbstractTerm
 from petalfit.surfaces import AbstractSurface
 
 Surface = TypeVar("Surface", bound=AbstractSurface)
-# In the first rounds foot points are matched again after every second one. Later they are not: a foot
-# point that jumps to and fro must not keep the rest moving.
+# In the first rounds foot points are matched again after every second round. Later they are not: a foot
+# point that jumps to and fro must not keep the parameters moving.
 _MATCHING_ROUNDS = 16
-_WHOLE_STEPS = 6
+_WHOLE_STEPS = 6  # rounds, after which steps become shorter if `every` is given
 
 
 def minimise(
@@ -33,18 +33,21 @@ def minimise(
     prior: Prior | None = None,
     every: int | None = None,
 ) -> Iterate[Surface]:
-    """Minimises the cost from a start: rounds of the solver, between which foot points are matched again.
+    """Minimises the cost from a start, in rounds of the solver with foot points matched in between.
 
     Args:
-        coordinates: Free parameters.
+        coordinates: The free parameters.
         observed: The observations.
         model: The start.
-        terms: One for each observation, with foot points for the start; None for no foot points.
+        terms: One term for each observation, with foot points at the start, or None to search for them.
         max_rounds: Upper bound of the rounds.
-        tolerance: Stop when no parameter moves by more than this many standard errors.
-        prior: What is known without the observations.
-        every: Match again after so many rounds, to the end; by default after two, and no more after
-            the first rounds.
+        tolerance: Stop when the step is at most this many standard errors in every direction.
+        prior: The prior on the coordinates; None for no prior.
+        every: Match foot points again after this many rounds, until the end. By default they are matched
+            after every second round, and no more after the first 16 rounds.
+
+    Returns:
+        The last iterate.
     """
     t, rounds, whitening = coordinates.inverse(model), 0, None
     prior = Prior.none(len(t)) if prior is None else prior
@@ -62,7 +65,7 @@ def minimise(
         state = compiled_solve(coordinates, tuple(terms), prior, t, whitening, few, tolerance)
         step, terms = np.asarray(state.t) - t, list(state.terms)
         if every is not None and rounds >= _WHOLE_STEPS:
-            # Where matches jump to and fro, ever smaller steps end in the mean of the states.
+            # If matches jump to and fro, ever shorter steps converge to the mean of the states.
             step = step / (rounds - _WHOLE_STEPS + 2)
         whitening = float(state.shrunk) * whitening
         moved = float(np.max(np.abs(np.linalg.solve(whitening, step))))
@@ -75,5 +78,5 @@ def minimise(
 
 
 def whiten(information: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p"]:
-    """W with W Wᵀ the inverse of the information."""
+    """The whitening matrix W, for which W Wᵀ is the inverse of the information."""
     return np.linalg.inv(np.linalg.cholesky(information)).T

@@ -1,4 +1,4 @@
-"""The end of an optimisation: its residuals, its bias and the correction of it, its information."""
+"""Evaluation of the end of an optimisation: residuals, information, and removal of the bias."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ def evaluate(
     observed: Sequence[AbstractObserved],
     end: Iterate[Surface],
 ) -> Iterate[Surface]:
-    """The end as the solver left it, with its residuals, to be compared with others.
+    """The end of a fit with its label, residuals and χ², by which it is compared with other ends.
 
-    Its information, which takes longer, is not computed.
+    The information, which takes longer, is not computed.
     """
     t = coordinates.inverse(end.model)
     residuals = [
@@ -44,7 +44,7 @@ def without_bias(
     end: Iterate[Surface],
     prior: Prior | None = None,
 ) -> Iterate[Surface]:
-    """The end with its bias removed, converged foot points, residuals, information and its errors."""
+    """Removes the bias of an end, and adds converged foot points, residuals and information."""
     t = coordinates.inverse(end.model)
     found = [
         x.score_and_information(coordinates, t, term)
@@ -73,11 +73,11 @@ def without_bias(
 def _correction(
     information: Float[np.ndarray, "p p"], root: Float[np.ndarray, " p"], score: np.ndarray
 ) -> Float[np.ndarray, " p"]:
-    """The step that takes a score away; zero if there is none."""
+    """The Gauss-Newton step that cancels a score; zero if it cannot be computed."""
     nowhere = np.zeros(len(root))
     if not (np.isfinite(information).all() and np.isfinite(score).all()):
         return nowhere
     step = np.linalg.solve(information + np.eye(len(root)) + np.diag(root**2), score)
-    # A bias of more than a few standard errors is not a small correction any more.
+    # A bias beyond a few standard errors is no small correction any more: the step is limited to three.
     size = np.sqrt(step @ information @ step / len(step))
     return step * min(1.0, 3.0 / max(size, 1e-300)) if np.isfinite(size) else nowhere

@@ -1,8 +1,8 @@
 """Safeguarded descent for open surfaces, from starts that are only roughly right.
 
-Far from the surface a step that helps while foot points are held may hurt once they are matched again.
-Each step is therefore held back by a prior around the point where it begins. The prior is loosened
-while steps lower the cost, and tightened when one does not.
+Far from the surface, a step that lowers the cost at fixed foot points may raise it once these are matched
+again. Each step is therefore shortened by a prior around the point where it begins. The prior becomes
+weaker while steps lower the cost, and stronger when one does not.
 """
 
 from __future__ import annotations
@@ -26,23 +26,24 @@ from petalfit.fitting.solver.solve import compiled_solve
 from petalfit.residuals import AbstractTerm, Emptiness, TangentDistance
 from petalfit.surfaces import AbstractSurface, cells
 
-HELD, HELD_BACK = 0.3, 3.0  # prior of a step, in √χ² of one unit for each point
+# Strength of the prior of a first step, usual and cautious: √(χ² per point) of a step by one unit.
+HELD, HELD_BACK = 0.3, 3.0
 _STUCK = 50.0  # the strongest prior that is tried
-_FREE = 0.05  # a step held back by less than this is as long as the cost wants it
-_JITTER = 0.01  # of the number of points, in the cost: foot points that jump to and fro
-# A descent ends when the best cost has not fallen by so large a part of the points in so many rounds.
+_FREE = 0.05  # a prior weaker than this hardly shortens a step
+_JITTER = 0.01  # rise of the cost per point that is accepted, because foot points jump to and fro
+# A descent ends if the best cost has fallen by less than _LEVEL per point in _PATIENCE rounds.
 _PATIENCE, _LEVEL = 6, 0.003
-_CELLS = 8  # per side, in which points are counted
+_CELLS = 8  # per side of the domain, to count points in
 
 
 @dataclasses.dataclass(frozen=True)
 class Descent:
-    """A cloud of an open surface, and the steps that bring a model to it.
+    """A safeguarded descent that brings a model of an open surface to a cloud.
 
     Attributes:
         cloud: The cloud.
-        emptiness: The places near which it has no points.
-        count: How many points it has, without padding.
+        emptiness: The cost of those parts of the surface that have no points near them.
+        count: The number of points of the cloud, without padding.
     """
 
     cloud: ObservedCloud
@@ -57,14 +58,14 @@ class Descent:
         noise: float | None,
         members: Float[np.ndarray, " n"],
     ) -> Descent:
-        """The descent to points, each with the probability that it belongs to the surface."""
+        """The descent to points that belong to the surface with the probabilities `members`."""
         cloud = ObservedCloud(pad(points, weights * members, noise))
         return cls(cloud, ObservedEmptiness.of(points[members > 0.5]), len(points))
 
     def evaluate(
         self, coordinates: Coordinates, t: Float[np.ndarray, " p"], term: AbstractTerm | None
     ) -> Iterate:
-        """The cost at t, as the solver counts it, with foot points and information there."""
+        """Evaluates the cost at t as the solver counts it, with foot points and information there."""
         model = coordinates.model(t)
         cloud = self.cloud.match(model, term)
         here = programs.linearise(coordinates, cloud.data, t, cloud.uv)
@@ -103,17 +104,17 @@ class Descent:
         tolerance: float,
         held: float = HELD,
     ) -> Iterate:
-        """Steps from a model to a minimum of the cost.
+        """Descends from a model to a minimum of the cost.
 
         Args:
-            coordinates: Free parameters.
+            coordinates: The free parameters.
             model: The start.
             rounds: Upper bound of the number of steps.
             tolerance: Stop when a step changes √χ² by less than this.
-            held: How strongly the first step is held back.
+            held: The strength of the prior of the first step.
 
         Returns:
-            The best iterate. It has `moved` in √χ², and its noise in the term of the cloud.
+            The best iterate. Its `moved` is in √χ², and its noise is in the term of the cloud.
         """
         here = self.evaluate(coordinates, coordinates.inverse(model), None)
         best, moved, number, since, level = here, np.inf, 0, 0, here.chi2
@@ -121,12 +122,12 @@ class Descent:
             if best.chi2 < level - 2 * _LEVEL * self.count:
                 since, level = number, best.chi2
             if number - since > _PATIENCE:
-                # All that is left is the jitter of foot points on a shape that is not quite its own.
+                # Only jitter of foot points is left: the model cannot quite have the shape of the cloud.
                 moved = min(moved, tolerance)
                 break
             there = self._step(coordinates, here, held)
             gain = here.chi2 - there.chi2
-            # Points that find nearer places on other parts of a rolled surface make costs jitter.
+            # The cost jitters when points find nearer places on other parts of a rolled surface.
             if gain > -2 * _JITTER * self.count:
                 moved = float(np.sqrt(abs(gain)))
                 free, here, held = held < _FREE, there, max(held / 5, 1e-5)
@@ -150,7 +151,7 @@ class Descent:
 
 
 def terms_of(end: Iterate) -> tuple[TangentDistance, Emptiness]:
-    """The terms of a descent's end: its cloud, and where it has no points."""
+    """The two terms of a descent's end: that of the cloud, and that of places without points."""
     cloud, emptiness = end.terms
     assert isinstance(cloud, TangentDistance)
     assert isinstance(emptiness, Emptiness)
@@ -160,7 +161,7 @@ def terms_of(end: Iterate) -> tuple[TangentDistance, Emptiness]:
 def _uniform_within_cells(
     model: AbstractSurface, cloud: TangentDistance, area: Float[np.ndarray, "n_u n_v"]
 ) -> float:
-    """−Σ log density of points that are spread evenly within each of some cells of the surface."""
+    """−Σ log density of the points, if their density is constant within each cell of the surface."""
     counts = np.zeros((_CELLS, _CELLS))
     cell = cells(model.domain, np.asarray(cloud.uv), _CELLS)
     np.add.at(counts, cell, np.asarray(cloud.data.weights))

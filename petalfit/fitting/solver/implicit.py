@@ -1,8 +1,9 @@
 """Derivatives of a fit with respect to its data, by the implicit function theorem.
 
-A settled fit solves F(t, data) = 0, with F the gradient of its cost, so that dt = −(∂F/∂t)⁻¹ ∂F/∂data.
-Nothing is differentiated through the iterations. In F, foot points are functions of t and of the data:
-they move when either does, and are held where the edge of the petal clamps them.
+A converged fit solves F(t, data) = 0, where F is the gradient of its cost, so that
+dt = −(∂F/∂t)⁻¹ ∂F/∂data. The iterations themselves are not differentiated. In F, foot points are
+functions of t and of the data: they move when either changes, and are held where the edge of the petal
+clamps them.
 """
 
 from __future__ import annotations
@@ -42,12 +43,12 @@ def solve_differentiably(
     """`solve` as a differentiable function of `data` and of the fixed parameters.
 
     Args:
-        coordinates: Free parameters and the model that they belong to.
+        coordinates: The free parameters and the model that they belong to.
         data: The cloud; derivatives flow to its points, weights and, if given, its noise.
-        t: Start, near the minimum.
-        uv: Start of the foot points.
-        max_rounds: Upper bound of the rounds; the theorem wants a settled fit.
-        tolerance: In standard errors.
+        t: Coordinates to start from, near the minimum.
+        uv: Foot points to start from.
+        max_rounds: Upper bound of the rounds; the theorem holds for a converged fit only.
+        tolerance: Stop when the step is at most this many standard errors in every direction.
 
     Returns:
         The coordinates t of the minimum; `coordinates.values` turns them into parameters.
@@ -78,10 +79,10 @@ def cost_gradient(
     """Gradient of the cost that `solve` minimises, with differentiable foot points.
 
     Args:
-        coordinates: Free parameters and the model that they belong to.
+        coordinates: The free parameters and the model that they belong to.
         data: The cloud.
         t: Coordinates of the free parameters.
-        uv: Foot points, nearly.
+        uv: Approximate foot points.
     """
     model = coordinates.model(t)
     uv = _implicit_foot_points(model, data.points, uv)
@@ -104,7 +105,7 @@ def cost_gradient(
 
 
 def _implicit_foot_points(model: AbstractSurface, points: Array, uv: Array) -> Array:
-    """Foot points with the right first derivatives: one Newton step whose matrix is held."""
+    """Foot points with the right first derivatives, by one Newton step with a constant matrix."""
     uv = slide_foot_points(*jax.lax.stop_gradient((model, points, uv)), 8)
     low, high = limits(model)
 

@@ -1,4 +1,4 @@
-"""Where an optimisation stands, or where it ended: one type for all solvers."""
+"""The iterate of an optimisation, and its end: one type for all solvers."""
 
 from __future__ import annotations
 
@@ -20,23 +20,25 @@ def _unknown() -> Float[np.ndarray, "1 1"]:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Iterate(Generic[Model]):
-    """Where an optimisation stands, or where it ended.
+    """A point that an optimisation has reached. The last one from a start is called its end.
 
-    A solver fills in the first four; what evaluates an end adds the others.
+    A solver sets the first four attributes; the evaluation of an end adds the others.
 
     Attributes:
-        model: The model there.
+        model: The model at this point.
         terms: The terms of the cost, with their foot points and noise.
-        rounds: How many alternations of matching and solving were made.
-        moved: By how much the last of them moved, in standard errors, the largest over the directions.
-        t: Coordinates of the free parameters, where a solver needs the same bits again.
-        chi2: −2 log likelihood or what stands for it; comparable between starts of one fit.
-        label: What distinguishes the start.
+        rounds: The number of rounds of matching and solving so far.
+        moved: Length of the last step in standard errors, the largest over all directions; of a
+            `Descent` it is in √χ².
+        t: Coordinates of the free parameters, for solvers that need them again bit by bit; else None.
+        chi2: −2 log likelihood, or a substitute for it; comparable between starts of one fit.
+        label: A name that distinguishes the start from other starts.
         information: Fisher information of the free parameters, shape (p, p); NaN if it was not computed.
-        score_covariance: Covariance of the cost's derivative by them, shape (p, p); likewise.
-        residuals: The observations beside the model.
-        mixture: Which points belong to the surface, where they may be outliers.
-        freedom: How many numbers the fit could choose, if that is not the number of free parameters.
+        score_covariance: Covariance of the derivative of the cost with respect to the free parameters,
+            shape (p, p); NaN if it was not computed.
+        residuals: The residuals of every observation.
+        mixture: The probability of each point to belong to the surface; None without outliers.
+        freedom: Effective number of parameters, if that is not the number of free parameters; else None.
     """
 
     model: Model
@@ -54,5 +56,5 @@ class Iterate(Generic[Model]):
 
     @property
     def is_finite(self) -> bool:
-        """Whether its information was computed and is finite."""
+        """Whether the information was computed and is finite."""
         return bool(np.isfinite(self.information).all())

@@ -1,4 +1,4 @@
-"""The observer of a fit: progress in words, the surface between rounds, and where the time goes."""
+"""The observer of a fit: it receives progress in words, the surface after every round, and timings."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from petalfit.surfaces import AbstractSurface
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Glimpse:
-    """Where a fit stands between two rounds.
+    """The state of a fit between two rounds.
 
     Attributes:
-        model: The model in the frame in which the fit works; while a pose is sought, that is not the
-            target's.
-        points: The points of the cloud in that frame, shape (n, 3); none in a fit of masks.
+        model: The model in the frame in which the fit works. While a pose is fitted, this is not the
+            target's frame.
+        points: The points of the cloud in that frame, shape (n, 3); n is 0 in a fit of masks.
         distances: Signed normal distance of each point, shape (n,).
     """
 
@@ -33,7 +33,7 @@ class Glimpse:
 
     @classmethod
     def of(cls, model: AbstractSurface, terms: Sequence[AbstractTerm]) -> Glimpse:
-        """A model with the points of those terms that have any."""
+        """The model, with the points of all terms that have points."""
         points, distances = [np.empty((0, 3))], [np.empty(0)]
         for term in terms:
             if isinstance(term, TangentDistance):
@@ -46,7 +46,7 @@ class Glimpse:
 
 @dataclasses.dataclass(frozen=True)
 class Observer:
-    """Follows a fit without changing it. What one of its functions raises ends the fit.
+    """Functions that are called during a fit and do not change it. An exception in one ends the fit.
 
     Attributes:
         progress: Called with a line of text whenever a stage of the fit begins; or None.
@@ -71,13 +71,13 @@ def _observed_by(observer: Observer) -> Iterator[None]:
 
 @contextmanager
 def reporting_to(progress: Callable[[str], None] | None) -> Iterator[dict[str, float]]:
-    """While the block runs, stages are reported to a function, and their seconds are counted.
+    """Reports the stages of all fits in the block to a function, and measures their time.
 
     Args:
-        progress: The function, called with a line of text; None reports to nobody.
+        progress: The function, called with a line of text; None for no reports.
 
     Yields:
-        Seconds by stage, complete when the block ends.
+        Seconds by name of the stage, complete when the block ends.
     """
     observer = dataclasses.replace(_current.get(), progress=progress)
     with _observed_by(observer), watched("starts") as watch:
@@ -86,14 +86,14 @@ def reporting_to(progress: Callable[[str], None] | None) -> Iterator[dict[str, f
 
 @contextmanager
 def looking_on(onlooker: Callable[[Glimpse], None]) -> Iterator[None]:
-    """While the block runs, every round of every fit in it is shown to a function."""
+    """Calls a function with a `Glimpse` after every round of every fit in the block."""
     with _observed_by(dataclasses.replace(_current.get(), onlooker=onlooker)):
         yield
 
 
 @contextmanager
 def prefixed(prefix: str) -> Iterator[None]:
-    """While the block runs, reported lines begin with a prefix: the name of a family, for instance."""
+    """Puts a prefix, such as the name of a family, before every line that is reported in the block."""
     outer = _current.get()
     observer = dataclasses.replace(outer, progress=lambda text: _say(outer, f"{prefix}: {text}"))
     with _observed_by(observer):
@@ -101,12 +101,12 @@ def prefixed(prefix: str) -> Iterator[None]:
 
 
 def report(text: str) -> None:
-    """Says which stage of the fit begins."""
+    """Reports which stage of the fit begins."""
     _say(_current.get(), text)
 
 
 def show(model: AbstractSurface, terms: Sequence[AbstractTerm]) -> None:
-    """Shows where the fit stands, with the points of the terms, if anybody looks on."""
+    """Passes the state of the fit, with the points of the terms, to the onlooker, if there is one."""
     onlooker = _current.get().onlooker
     if onlooker is not None:
         onlooker(Glimpse.of(model, terms))

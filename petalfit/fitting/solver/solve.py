@@ -1,6 +1,7 @@
-"""The pure numerical core of a fit: from a start to the maximum of the likelihood.
+"""The compiled core of a fit: pure functions that maximise the likelihood from a start.
 
-Everything here can be jitted, mapped and differentiated; shapes are static, data are arguments.
+They can be jitted and mapped: shapes are static, and data are arguments. Derivatives of a fit with
+respect to its data are in `petalfit.fitting.solver.implicit`.
 """
 
 from __future__ import annotations
@@ -17,22 +18,22 @@ from petalfit.compilation import Program
 from petalfit.fitting.coordinates import Coordinates, Prior
 from petalfit.residuals import AbstractFrozen, AbstractTerm, Pull, pull_back
 
-# Levenberg-Marquardt starts with a damping of 1 and its variables have unit information, so residuals
-# are multiplied by this for a first step close to Gauss-Newton's.
+# Levenberg-Marquardt starts with a damping of 1, and its variables have unit information. Residuals are
+# multiplied by this factor, so that the first step is close to Gauss-Newton's.
 _GAIN = 15.0
-_FREE_ROUNDS = 8
+_FREE_ROUNDS = 8  # rounds with full steps
 
 
 class State(NamedTuple):
-    """The carry of the compiled loop.
+    """The state of the compiled loop between two rounds.
 
     Attributes:
         t: Coordinates of the free parameters.
-        terms: The terms, with foot points and noise of the last round.
-        rounds: How many rounds were made.
-        moved: The last round's step in units of the standard errors, the largest over the directions.
-        gain: What residuals are multiplied by, in effect the inverse of the damping.
-        shrunk: The noise in units of the noise at the start.
+        terms: The terms of the cost, with foot points and noise of the last round.
+        rounds: The number of rounds so far.
+        moved: Length of the last step in standard errors, the largest over all directions.
+        gain: The factor that residuals are multiplied by, in effect the inverse of the damping.
+        shrunk: The noise relative to the noise at the start, the smallest ratio over the terms.
     """
 
     t: Float[Array, " p"]
@@ -44,10 +45,10 @@ class State(NamedTuple):
 
 
 class _Round(NamedTuple):
-    """What a round holds still: the terms with their foot points, and the linear part of the cost.
+    """The constants of one round: the terms with their foot points, and the linear part of the cost.
 
-    A round's variables z are the coordinates t whitened by the information at the start, so that one
-    unit is about one standard error in every direction.
+    The variables z of a round are the coordinates t whitened by the information at the start, so that
+    one unit is about one standard error in every direction.
     """
 
     coordinates: Coordinates
@@ -71,18 +72,18 @@ def solve(
     max_rounds: int | Int[Array, ""],
     tolerance: float | Float[Array, ""],
 ) -> State:
-    """Minimise the sum of the terms' costs and the prior's over the free parameters.
+    """Minimises the costs of all terms and of the prior over the free parameters.
 
-    Rounds alternate foot points with a few Levenberg-Marquardt steps on distances to them.
+    Each round updates the foot points, and takes a few Levenberg-Marquardt steps on distances to them.
 
     Args:
-        coordinates: Free parameters and the model that they belong to.
-        terms: One for each observation; their foot points and noise belong to the start.
-        prior: What is known without them.
-        t: Start.
-        whitening: W with W Wᵀ the inverse of the information at the start.
+        coordinates: The free parameters and the model that they belong to.
+        terms: One term for each observation, with foot points and noise at the start.
+        prior: The prior on the coordinates.
+        t: Coordinates to start from.
+        whitening: W, for which W Wᵀ is the inverse of the information at the start.
         max_rounds: Upper bound of the rounds.
-        tolerance: Stop when no parameter moves by more than this many standard errors.
+        tolerance: Stop when the step is at most this many standard errors in every direction.
 
     Returns:
         The state after the last round. Its foot points belong to the parameters before the last step.
@@ -108,11 +109,11 @@ def solve(
             throw=False,
         )
         z = jnp.where(jnp.isfinite(solution.value).all(), solution.value, 0.0)
-        # No step was short enough to help: damp more, until there is nowhere to go.
+        # z is zero if no step lowered the cost: then damp more, until no damping is left to try.
         stuck = jnp.all(z == 0)
         nowhere = state.gain < _GAIN / 8**3
         moved = jnp.where(stuck & ~nowhere, jnp.inf, jnp.max(jnp.abs(z)))
-        # Halved steps, later, calm a point that flips between two rounds.
+        # Later steps are halved, which calms a foot point that flips between two rounds.
         z = jnp.where(state.rounds < _FREE_ROUNDS, z, 0.5 * z)
         gain = jnp.where(stuck, state.gain / 8, jnp.minimum(state.gain * 2, _GAIN))
         return State(held.place(z), renewed, state.rounds + 1, moved, gain, shrunk)
@@ -123,7 +124,7 @@ def solve(
 
 
 def _linear(coordinates: Coordinates, t: Array, pulls: tuple[Pull | None, ...]) -> Array:
-    """Derivative of the pulls by t."""
+    """Derivative with respect to t of the linear part of the cost, which consists of the pulls."""
     model, total = coordinates.model(t), jnp.zeros_like(t)
     for pull in pulls:
         if pull is not None:
@@ -137,7 +138,8 @@ def _residuals(z: Array, held: _Round) -> Array:
     t = held.place(z)
     model = held.coordinates.model(t)
     observed = jnp.concatenate([part.residual(model) for part in held.parts])
-    # A linear cost g·z as the square of √(2K) + g·z/√(2K), whose curvature vanishes for large K.
+    # The linear cost g·z is written as half the square of √(2K) + g·z/√(2K), less a constant; its
+    # curvature vanishes for large K.
     root = jnp.sqrt(2 * _constant(observed))
     tilt = root + held.tilt @ z / root
     return held.gain * jnp.concatenate(
@@ -147,8 +149,8 @@ def _residuals(z: Array, held: _Round) -> Array:
 
 @_residuals.defjvp
 def _residuals_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
-    # All columns at once by one reverse pass per point; linearising `_residuals` column by column
-    # would cost several times as much.
+    # One reverse pass per point gives all columns of the Jacobian; linearising `_residuals` column by
+    # column would cost several times as much. Derivatives with respect to `held` are left out.
     z, held = primals
     return _residuals(z, held), _jacobian(z, held) @ tangents[0]
 
