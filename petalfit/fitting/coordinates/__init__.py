@@ -1,4 +1,4 @@
-"""The coordinates that a fit moves in, and what is known of them before any data."""
+"""The coordinates in which a fit works, and priors on them."""
 
 from petalfit.fitting.coordinates.coordinates import Coordinates as Coordinates
 from petalfit.fitting.coordinates.coordinates import Model as Model

@@ -1,4 +1,4 @@
-"""The coordinates that a fit moves in: unbounded, of order one, one for each free parameter."""
+"""The coordinates in which a fit works: unbounded, of order one, one for each free parameter."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from petalfit.components import parameters
 from petalfit.surfaces import Scalar, value_at
 
 Model = TypeVar("Model", bound=eqx.Module)
-# NumPy's outside of compiled programs: there jax would compile every little operation.
+# NumPy arrays outside of compiled programs, where JAX would compile every little operation.
 Numbers: TypeAlias = Array | np.ndarray
 
 
@@ -69,7 +69,7 @@ class Coordinates(eqx.Module, Generic[Model]):
         return self.middle + self.half * s * (1 + s**2) ** -0.5
 
     def slopes(self, t: Float[Numbers, " p"]) -> Float[Numbers, " p"]:
-        """dθ/dt at the coordinates t; zero for what is held."""
+        """Derivatives dθ/dt at the coordinates t; zero for parameters that are held."""
         return self.active * self.half * self.scale * (1 + (self.scale * t) ** 2) ** -1.5
 
     def inverse(self, model: Model) -> Float[np.ndarray, " p"]:
@@ -88,20 +88,20 @@ class Coordinates(eqx.Module, Generic[Model]):
         return eqx.tree_at(where, self.template, [values[i] for i in range(len(self.free))])
 
     def spread(self, count: int) -> Float[np.ndarray, "m p"]:
-        """Places evenly spread over the typical ranges; what is held stays at the template's values."""
+        """Coordinates spread evenly over the typical ranges; held parameters stay at the template's."""
         typical = np.array([parameters(self.template)[name].typical for name in self.free])
         evenly = evenly_spread(count, len(self.free))
         values = typical[:, 0] + (typical[:, 1] - typical[:, 0]) * evenly
         return np.where(self.active > 0, self.place(values), self.inverse(self.template))
 
     def gather(self, tree: eqx.Module) -> Array:
-        """Leaves of the free parameters of a pytree like the model, stacked on the last axis."""
+        """Stacks the leaves of the free parameters, of a pytree like the model, on the last axis."""
         return jnp.stack([value_at(tree, name) for name in self.free], axis=-1)
 
 
 def evenly_spread(count: int, dimension: int) -> Float[np.ndarray, "n d"]:
-    """Points that fill the unit cube evenly, from its middle."""
-    # Additive recurrence by powers of the root of x^(d + 1) = x + 1.
+    """Points that fill the unit cube evenly; the first one is its middle."""
+    # An additive recurrence, whose steps are powers of the root of x^(d + 1) = x + 1.
     root = 2.0
     for _ in range(64):
         root = (1 + root) ** (1 / (dimension + 1))

@@ -1,4 +1,4 @@
-"""What is known of the coordinates before any data."""
+"""The prior on the coordinates: what is known before any data."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ class Prior(NamedTuple):
     """A Gaussian prior, whose cost is Σ (root (t − centre))²/2.
 
     Attributes:
-        centre: Coordinates of the free parameters.
-        root: 1 for a standard deviation of the typical range, 0 for nothing known.
+        centre: Coordinates of the free parameters at the maximum of the prior, shape (p,).
+        root: Inverse standard deviation of each coordinate, shape (p,): 1 for the spread of its typical
+            range, 0 for no knowledge.
     """
 
     centre: Float[Array | np.ndarray, " p"]
@@ -21,5 +22,5 @@ class Prior(NamedTuple):
 
     @classmethod
     def none(cls, count: int) -> Prior:
-        """The prior of somebody who knows nothing."""
+        """The prior that knows nothing of `count` coordinates."""
         return cls(np.zeros(count), np.zeros(count))

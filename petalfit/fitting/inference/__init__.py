@@ -1,1 +1,1 @@
-"""What the data determine, and how sure that is."""
+"""Inference: which parameters the data determine, with which errors, and how far to trust the fit."""

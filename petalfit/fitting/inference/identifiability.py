@@ -1,4 +1,4 @@
-"""Which parameters the observations determine, judged by information against the typical ranges."""
+"""Identifiability: which parameters the data determine, by information relative to typical ranges."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from petalfit.surfaces import AbstractSurface, value_at
 # A parameter is determined if its standard error is below this many standard deviations of its
 # typical range, taken as uniform.
 DETERMINED = 0.3
-_ALONE = DETERMINED / 2  # the same, if the others were known
+_ALONE = DETERMINED / 2  # the same limit, if all other parameters were known
 
 
 def sizes(model: AbstractSurface) -> list[str]:
-    """Parameters that grow with the model: lengths that are positive."""
+    """Names of the parameters that scale with the model: lengths that are always positive."""
     return [n for n, p in parameters(model).items() if p.unit == "length" and p.bounds[0] > 0]
 
 
@@ -33,7 +33,7 @@ def typical_spread(
 def known_alone(
     end: Iterate, names: Sequence[str], declared: Mapping[str, Parameter]
 ) -> Bool[np.ndarray, " p"]:
-    """Whether each parameter is determined, by the information where the fit ended."""
+    """Whether each parameter is determined, judged by the information at one end alone."""
     spread = typical_spread(names, declared)
     scales = np.outer(spread, spread)
     # With the typical ranges as priors nothing is singular; a standard error of q becomes q/√(1 + q²).
@@ -54,7 +54,7 @@ def known_if_others_were(
 def known(
     ends: Sequence[Iterate], names: Sequence[str], declared: Mapping[str, Parameter]
 ) -> Bool[np.ndarray, " p"]:
-    """Whether each parameter is determined, rival ends considered."""
+    """Whether each parameter is determined, also in view of rival ends."""
     found = known_alone(ends[0], names, declared)
     for name in [*_doubtful_waves(names, found, ends), *_doubtful_sizes(names, ends)]:
         found[names.index(name)] = False
@@ -64,10 +64,10 @@ def known(
 def covariance(
     ends: Sequence[Iterate], names: Sequence[str], declared: Mapping[str, Parameter]
 ) -> tuple[Float[np.ndarray, "p p"], Bool[np.ndarray, " p"]]:
-    """The covariance of the parameters, and which of them are determined.
+    """The covariance of the parameters, and whether each of them is determined.
 
-    What is not determined gets infinite rows and columns; for the errors of the others it is left
-    free within its typical range.
+    Parameters that are not determined have infinite rows and columns. The errors of the others allow for
+    them to be anywhere in their typical ranges.
     """
     found = known(ends, names, declared)
     spread = typical_spread(names, declared)
@@ -84,10 +84,10 @@ def _nearly_as_good(ends: Sequence[Iterate]) -> list[Iterate]:
 
 
 def _doubtful_waves(names: Sequence[str], found: np.ndarray, ends: Sequence[Iterate]) -> list[str]:
-    """Parameters of an oscillation that the local information is too sure of.
+    """Parameters of an oscillation that are less certain than the local information suggests.
 
-    Waves that are not there have no frequency, whatever the curvature of the cost says; and where
-    another frequency fits almost as well, neither is known, nor how high the waves are.
+    Waves of no height have no frequency, whatever the curvature of the cost is. And if another frequency
+    fits almost as well, neither frequency is certain, nor is the height of the waves.
     """
     waves = getattr(ends[0].model, "oscillation", None)  # a pattern of colours has none
     if waves is None or waves.frequency not in names:
@@ -103,13 +103,13 @@ def _doubtful_waves(names: Sequence[str], found: np.ndarray, ends: Sequence[Iter
 
 
 def _has_unknown_scale(end: Iterate, names: Sequence[str]) -> bool:
-    """Whether a pose's scale is free; a component may have a parameter of that name too."""
+    """Whether the scale of a pose is free; a component may have a parameter of the same name."""
     posed = isinstance(end.model, Posed)
     return posed and "scale" in names and "scale" not in parameters(end.model.surface)
 
 
 def _doubtful_sizes(names: Sequence[str], ends: Sequence[Iterate]) -> list[str]:
-    """The scale and the lengths that go with it, if another scale explains the view almost as well."""
+    """The scale and all sizes, if an end with another scale explains the data almost as well."""
     if not _has_unknown_scale(ends[0], names):
         return []
     best = float(ends[0].model.scale)
@@ -124,7 +124,7 @@ def combinations(
     declared: Mapping[str, Parameter],
     found: Bool[np.ndarray, " p"],
 ) -> list[FitWarning]:
-    """Warnings on parameters of which only a combination is determined, by the information matrix."""
+    """Warnings about parameters of which only a combination is determined by the information."""
     spread = typical_spread(names, declared)
     information = end.information * np.outer(spread, spread)
     alone = known_if_others_were(end, names, declared)
@@ -160,7 +160,7 @@ def _combined(words: Sequence[str], kind: str) -> FitWarning:
 
 
 def _kind_of_pair(a: float, b: float) -> str:
-    """What is known of two parameters whose relative changes a and b go together unseen."""
+    """The combination of two parameters that is known, if joint relative changes a and b do not show."""
     if abs(a + b) < 0.2 * max(abs(a), abs(b)):
         return "as a product"
     if abs(a - b) < 0.2 * max(abs(a), abs(b)):

@@ -1,4 +1,4 @@
-"""Pinning: what the data do not determine keeps the value of the template."""
+"""Pinning: parameters that the data do not determine keep the template's values."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ def pinned(
     end: Iterate,
     again: Callable[[AbstractSurface, Prior], Iterate],
 ) -> Iterate:
-    """The end with the template's values for what is not determined, unless the data object.
+    """The end with the template's values for undetermined parameters, as far as the data allow.
 
     Args:
         coordinates: The free parameters.
         end: The best end.
-        again: Follows a start with a prior.
+        again: Solves again from a start, with a prior.
     """
     free, template = coordinates.free, coordinates.template
     if not end.is_finite:
@@ -37,10 +37,10 @@ def pinned(
     if rest := {name: value for name, value in start.items() if name not in of_waves}:
         centre = coordinates.inverse(with_values(end.model, rest))
         prior = Prior(centre, np.isin(free, [*rest]).astype(float))
-        # What is known in combination with others must not leave where they explain the data.
+        # Parameters that are known in combination start where that combination explains the data.
         alone = dict(zip(free, known_if_others_were(end, free, parameters(template)), strict=True))
         model = with_values(end.model, {n: v for n, v in rest.items() if not alone[n]})
         end = dataclasses.replace(again(model, prior), chi2=end.chi2)
-    # Waves that do not show need not be in the fit to have values in the result.
+    # Undetermined waves get the template's values without another fit: they do not show.
     hidden = {name: value for name, value in start.items() if name in of_waves}
     return dataclasses.replace(end, model=with_values(end.model, hidden)) if hidden else end

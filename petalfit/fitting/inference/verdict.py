@@ -20,16 +20,17 @@ from petalfit.results import (
 )
 from petalfit.surfaces import AbstractSurface, is_of_revolution
 
-# Distances of more than this fraction of a target's size are no noise.
+# Distances beyond this fraction of a target's size are a misfit, not noise.
 _MISFIT = 0.02
-# And of less, if the model had to be bent to the bounds of its parameters.
+# The same if determined parameters ended at their bounds.
 _STRAINED_MISFIT = 0.005
 _GROSS = 6.0  # in units of the noise
-_EMPTY = 0.1
-_ROUNDING = 1e-6  # of a target's size: less is no distance
-_MOSTLY_OUTLIERS = 0.6  # of the points
-# Where foot points jump between two folds, a fit may flip for ever between two states that are nearly
-# the same: up to this many standard errors apart, that is a warning and no failure.
+_EMPTY = 0.1  # part of the surface without data, above which there is a warning
+_ROUNDING = 1e-6  # smaller distances, relative to a target's size, are rounding errors
+_MOSTLY_OUTLIERS = 0.6  # part of the points that are outliers, above which nothing was fitted
+# If foot points jump between two folds, a fit may flip for ever between two states that are nearly the
+# same. If they are up to _SETTLED standard errors apart the fit counts as converged, with a warning if
+# they are more than _FLIPS apart.
 _SETTLED, _FLIPS = 0.5, 0.05
 
 
@@ -39,8 +40,8 @@ def ending(best: Iterate, finite: bool, misfits: Sequence[str], outcome: str) ->
     Args:
         best: The best end.
         finite: Whether all of its numbers are finite.
-        misfits: For every target, why the surface does not follow it; empty if it does.
-        outcome: The words for a fit that converged.
+        misfits: For every target, the reason why the surface does not follow it; "" if it does.
+        outcome: The reason of a fit that converged.
     """
     if not finite:
         return Status.NOT_FINITE, "the solver met values that are not finite"
@@ -55,13 +56,13 @@ def ending(best: Iterate, finite: bool, misfits: Sequence[str], outcome: str) ->
 
 
 def misfit_of(part: Agreement, strained: bool, noise: float | None, in_space: bool) -> str:
-    """Why the surface does not follow a target; empty if it does.
+    """The reason why the surface does not follow a target; "" if it does.
 
     Args:
-        part: The target beside the surface.
+        part: The target with its distances from the surface.
         strained: Whether determined parameters ended at their bounds.
         noise: The noise that was given for the clouds.
-        in_space: Whether a pose was fitted.
+        in_space: Whether a pose in space was fitted.
     """
     size = part.target.size
     far = part.outliers / len(part.weights)
@@ -70,7 +71,7 @@ def misfit_of(part: Agreement, strained: bool, noise: float | None, in_space: bo
     tolerable = (_STRAINED_MISFIT if strained else _MISFIT) * size
     rms = part.rms
     if part.unit == "px":
-        # A few places are matched across a fold, far away.
+        # A robust measure, because a few places are matched across a fold, far away.
         rms = spread_of(part.distances[part.weights > 0])
         frame = "its camera is not where it is said to be, or it has another shape"
         tolerable = max(0.5 * tolerable, 1.0)
@@ -112,7 +113,7 @@ def not_determined(identifiable: Mapping[str, bool], what: str = "target") -> li
 
 
 def flips(best: Iterate) -> list[FitWarning]:
-    """A warning if a fit that settled goes on flipping between two states."""
+    """A warning if a fit that counts as converged goes on flipping between two states."""
     if not _FLIPS < best.moved <= _SETTLED:
         return []
     return [FitWarning(f"parameters flip by {best.moved:.2g} standard errors", WarningKind.FLIPS)]
@@ -128,20 +129,20 @@ def rival_starts(
 
 
 def outliers(part: Agreement) -> list[str]:
-    """How many points the fit takes for outliers, if there are any."""
+    """A note that gives the number of outliers, if there are any."""
     count = part.outliers
     return [f"{count} of {len(part.weights)} points are taken for outliers"] if count else []
 
 
 def symmetries(model: AbstractSurface) -> list[str]:
-    """Turns of this surface that no target determines, and no parameter says."""
+    """A note on a symmetry of the surface, under which no target determines how it is turned."""
     if not is_of_revolution(model):
         return []
     return ["it is a surface of revolution: no target tells how it is turned about its y axis"]
 
 
 def about_distances(part: Agreement, noise: float | None) -> list[FitWarning]:
-    """Warnings on the distances of one target in the unit of length."""
+    """Warnings about the distances of one target, if they are in the unit of length."""
     if part.unit != "length":
         return []
     used = np.abs(part.distances[part.used])
@@ -171,10 +172,10 @@ def systematic(part: Agreement, model: AbstractSurface) -> list[FitWarning]:
 def coverage(
     model: AbstractSurface, uv: Float[np.ndarray, "n 2"], used: np.ndarray
 ) -> list[FitWarning]:
-    """A warning if part of the surface has no data, seen in 4 × 4 parts of the domain."""
+    """A warning if some of 4 × 4 parts of the domain have no data."""
     (u_low, u_high), (v_low, v_high) = model.domain
     some = np.flatnonzero(used)
-    # Where the surface goes on, so do foot points.
+    # In a direction without edges the surface is closed, and foot points are taken modulo the period.
     low, high = np.array(model.domain).T
     around = low + (uv[some] - low) % (high - low)
     u, v = np.where(model.edges, uv[some], around).T

@@ -1,1 +1,1 @@
-"""Likelihoods: an observation beside a surface."""
+"""Likelihoods of observations, given a surface."""

@@ -28,13 +28,13 @@ from petalfit.observations import PointCloud
 from petalfit.residuals import AbstractTerm, Data, TangentDistance, perturbation
 from petalfit.surfaces import AbstractSurface
 
-_BIAS_POINTS = 6144  # are enough to measure the bias on
-_ROUNDING = 1e-12  # of the largest coordinate: less is no distance
+_BIAS_POINTS = 6144  # this many points are enough to measure the bias
+_ROUNDING = 1e-12  # smaller distances, relative to the largest coordinate, are rounding errors
 _FAR = 6.0  # typical distances, beyond which a foot point may be on the wrong fold
 
 
 def pad(points: np.ndarray, weights: np.ndarray, noise: float | None) -> Data:
-    """A cloud of a bucketed size; the padding repeats the first point with weight zero."""
+    """A cloud padded to a bucketed size; the padding repeats the first point with weight zero."""
     size = bucket(len(points))
     return Data(
         jnp.asarray(pad_to(points, size)),
@@ -45,11 +45,11 @@ def pad(points: np.ndarray, weights: np.ndarray, noise: float | None) -> Data:
 
 @dataclasses.dataclass(frozen=True)
 class ObservedCloud(AbstractObserved):
-    """A cloud, as a solver needs it.
+    """The likelihood of a cloud, as a solver uses it.
 
     Attributes:
-        data: The cloud.
-        sample: A part of it that is large enough to measure the bias on; None for all of it.
+        data: The cloud, padded.
+        sample: A part of the cloud that is large enough to measure the bias on; None for all of it.
         weigh: Finds the points that belong to a model, as the mixture of a background does, every time
             that points are matched; None if all of them do.
     """
@@ -62,7 +62,7 @@ class ObservedCloud(AbstractObserved):
     def of(
         cls, points: np.ndarray, weights: np.ndarray, noise: float | None, order: np.ndarray
     ) -> ObservedCloud:
-        """A cloud with a part of it, the first ones in `order`, that is enough to measure a bias on."""
+        """The cloud of points; the first ones in `order` are the sample that the bias is measured on."""
         some = order[:_BIAS_POINTS]
         sample = None if len(order) <= _BIAS_POINTS else pad(points[some], weights[some], noise)
         return cls(pad(points, weights, noise), sample)
@@ -75,7 +75,7 @@ class ObservedCloud(AbstractObserved):
         rng: np.random.Generator,
         weigh: Callable[..., Mixture] | None = None,
     ) -> ObservedCloud:
-        """The points of a cloud that have a weight."""
+        """The cloud of those points that have a weight."""
         some = cloud.mass > 0
         order = rng.permutation(np.count_nonzero(some))
         found = cls.of(cloud.points[some], cloud.mass[some], noise, order)
@@ -88,7 +88,7 @@ class ObservedCloud(AbstractObserved):
         return mean_logarithm(self.data, np.asarray(distance), np.asarray(self.data.weights))
 
     def at(self, uv: Float[Array, "n 2"]) -> TangentDistance:
-        """Its term with these foot points and the noise still to be estimated."""
+        """The term of the cloud with these foot points, and noise as given or still to be estimated."""
         return TangentDistance(data=self.data, uv=uv, sigma=self.data.sigma)
 
     def match(self, model: AbstractSurface, term: AbstractTerm | None) -> TangentDistance:
@@ -127,7 +127,7 @@ class ObservedCloud(AbstractObserved):
     def score_and_information(
         self, coordinates: Coordinates, t: np.ndarray, term: AbstractTerm
     ) -> ScoreAndInformation:
-        """With the score that noise and curvature cause; see `petalfit.residuals.curvature_bias`."""
+        """See `AbstractObserved`; noise and curvature cause the score (`residuals.curvature_bias`)."""
         assert isinstance(term, TangentDistance)
         data, model = term.data, coordinates.model(t)
         sample = data if self.sample is None or self.weigh is not None else self.sample
@@ -165,9 +165,9 @@ class ObservedCloud(AbstractObserved):
         return [Residuals(distance, weights, float(term.sigma), "length", chi2, uv)]
 
     def rematched(self, model: AbstractSurface, term: TangentDistance) -> TangentDistance | None:
-        """The term in which points far beyond the typical distance have found nearer foot points.
+        """The term with nearer foot points for some of the points far beyond the typical distance.
 
-        None if there are none: neither such points, nor nearer places for them.
+        None if there are no such points, or no nearer places for them.
         """
         points, used = self.data.points, np.asarray(self.data.weights) > 0
         distance = np.asarray(programs.distances(model, points, term.uv))
@@ -182,19 +182,19 @@ class ObservedCloud(AbstractObserved):
     def beside(
         self, coordinates: Coordinates, t: np.ndarray, term: TangentDistance
     ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-        """Signed normal distances, and distances beyond the edge, negative inside; padding included."""
+        """Signed normal distances, and distances beyond the edge, negative inside; of padding too."""
         seen = programs.linearise(coordinates, self.data, t, term.uv)
         return np.asarray(seen.distance), np.max(np.asarray(seen.beyond), axis=-1)
 
 
 def mean_logarithm(data: Data, distances: np.ndarray, weights: np.ndarray) -> float:
-    """Of 1 + d², with distances d in hundredths of the cloud's extent; small where most are."""
+    """Mean logarithm of 1 + d², with d in hundredths of the cloud's extent; small if most d are small."""
     extent = 0.01 * np.linalg.norm(np.ptp(np.asarray(data.points), axis=0))
     return float(np.average(np.log1p((distances / extent) ** 2), weights=weights))
 
 
 def comparable(distances: Float[np.ndarray, " n"], weights: Float[np.ndarray, " n"]) -> float:
-    """A χ² that compares ends of one cloud: n log of the mean squared distance."""
+    """A χ² by which ends of one cloud are compared: n log of the mean squared distance."""
     total = float(np.sum(weights))
     with np.errstate(divide="ignore"):
         return total * float(np.log(np.sum(weights * distances**2) / total))

@@ -1,4 +1,4 @@
-"""The likelihood of what was not seen: a covered surface has points near all of its places."""
+"""The likelihood of empty places: a surface that was scanned has points near all of its places."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ _SLACK = 1.5  # spacings of the points
 
 
 def spacing(tree: KDTree) -> float:
-    """The side of the square that a point of a sheet has to itself, as a rule."""
-    # Six neighbours lie in a disc of six and a half points' area.
+    """The typical spacing of points on a surface: the side of the square that one point covers."""
+    # The disc that reaches to the sixth neighbour has the area of six and a half points.
     sixth = np.median(np.asarray(tree.query(tree.data, 7)[0])[:, 6])
     return float(sixth * np.sqrt(np.pi / 6.5))
 
 
 @dataclasses.dataclass(frozen=True)
 class ObservedEmptiness(AbstractObserved):
-    """Places of the surface near which there should be points: the cost of places where there are none.
+    """The cost of places of the surface that have no points near them.
 
     Attributes:
-        tree: Of the points.
-        slack: How far from a point a covered surface may be.
+        tree: The tree of the points.
+        slack: The distance from the nearest point up to which a place costs nothing.
     """
 
     tree: KDTree
@@ -50,7 +50,7 @@ class ObservedEmptiness(AbstractObserved):
         return self.around(model)[0]
 
     def around(self, model: AbstractSurface) -> tuple[Emptiness, Quadrature, float]:
-        """The term, the nodes that it looks at, and twice its cost at a noise of 1."""
+        """The term, the nodes on the surface that it is made of, and twice its cost for a noise of 1."""
         nodes = Quadrature.of(model)
         gap, nearest = map(np.asarray, self.tree.query(nodes.places))
         weights = self.tree.n * nodes.area.ravel() / nodes.area.sum()

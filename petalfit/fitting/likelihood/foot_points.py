@@ -1,4 +1,4 @@
-"""Foot points: where to look for them first, and the distances that they give."""
+"""Foot points: initial guesses, a search on all folds, and the distances to them."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from petalfit.components import Posed
 from petalfit.fitting.likelihood import programs
 from petalfit.surfaces import AbstractMap, AbstractSurface
 
-_NEARER = 0.9  # of the distance: less is no other fold
-_GRID = 129  # nodes per side, on which folds are sought
-_SOUGHT = 16  # points in doubt that are sought again, the farthest
+_NEARER = 0.9  # another fold must bring the distance below this part of it
+_GRID = 129  # nodes per side of the grid on which folds are searched for
+_SOUGHT = 16  # number of doubtful points, the farthest, whose foot points are searched for again
 
 
 def guess_foot_points(
     model: AbstractSurface, points: Float[Array | np.ndarray, "n 3"]
 ) -> Float[Array, "n 2"]:
-    """(u, v) near the foot points of points, from which a search for them begins.
+    """Guesses (u, v) of foot points, from which the search for them begins.
 
-    Of a surface that has a shadow in its plane they lie straight below or above the points: sought at
-    the nearest place of the surface itself, many would end on the wrong wave.
+    If the surface has a shadow in its plane, the guesses lie straight below or above the points. From the
+    nearest place of the surface itself, many searches would end on the wrong wave.
     """
     if isinstance(model, Posed) and model.surface.shadow is not None:
         return straight_below(
@@ -41,19 +41,19 @@ def nearer_foot_points(
     uv: Float[Array, "n 2"],
     doubtful: Int[np.ndarray, " k"],
 ) -> Float[np.ndarray, "n 2"] | None:
-    """Foot points of which those in doubt were sought again, on all folds of the surface.
+    """Searches for the foot points of doubtful points again, on all folds of the surface.
 
-    Straight below a point there may be another fold than the one that it lies on, and from there no
-    step leads across. Every local minimum of the distance on a fine grid is followed.
+    The fold straight below a point need not be the one that the point lies on, and no step leads from one
+    to the other. The search therefore starts at every local minimum of the distance on a fine grid.
 
     Args:
         model: The surface.
         points: The points.
         uv: Their foot points.
-        doubtful: Numbers of the points whose foot points are in doubt.
+        doubtful: Indices of the points whose foot points are in doubt.
 
     Returns:
-        All foot points, nearer ones for some of the points in doubt; None if there is none nearer.
+        All foot points, with nearer ones for some doubtful points; None if no nearer one was found.
     """
     surface, own = model, np.asarray(points)
     if isinstance(model, Posed):
@@ -67,7 +67,7 @@ def nearer_foot_points(
         squared = np.sum((places - own[k]) ** 2, axis=-1)
         minima = np.argwhere(squared == minimum_filter(squared, 3, mode="nearest"))
         minima = minima[np.argsort(squared[tuple(minima.T)])][: len(own)]
-        # All starts of one point at a time, in arrays for which the programs are compiled already.
+        # Starts are refined point by point, in arrays of a shape for which programs are compiled already.
         starts = pad_to(nodes[tuple(minima.T)], len(own))
         same = np.tile(own[k], (len(own), 1))
         ends = np.asarray(programs.refine(surface, same, starts, 12, around=False))
@@ -89,7 +89,7 @@ def straight_below(
 def signed_distance(
     distance: Float[np.ndarray, " n"], beyond: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
-    """Signed distances to a surface that has edges: along the normal, or to the edge beyond it.
+    """Signed distances to a surface with edges: along the normal, or to the edge for points beyond it.
 
     Args:
         distance: Signed normal distances.
@@ -101,7 +101,7 @@ def signed_distance(
 def distances_beside(
     surface: AbstractSurface, points: Float[np.ndarray, "n 3"]
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, "n 2"]]:
-    """Signed normal distances of points, distances beyond the edge, negative inside, and foot points.
+    """Signed normal distances of points, distances beyond the edge (negative inside), and foot points.
 
     Call it inside `jax.enable_x64(True)`.
     """

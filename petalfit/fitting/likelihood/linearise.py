@@ -12,17 +12,17 @@ from petalfit.residuals import Data, edge_score, estimate_sigma, frame, pull_bac
 
 
 class Linearisation(NamedTuple):
-    """Distances, their derivatives by the coordinates t of the free parameters, and Fisher information.
+    """Distances, their derivatives with respect to the coordinates t, and Fisher information.
 
     Attributes:
-        position: S, shape (n, 3).
+        position: Positions S of the foot points, shape (n, 3).
         normal: Unit normals, shape (n, 3).
         distance: Signed normal distances d, positive on the normal's side, shape (n,).
         slopes: ∂d/∂t, shape (n, p).
         beyond: Distances beyond the nearer u edge and v edge, negative inside, shape (n, 2).
         sigma: Noise, given or estimated from the distances.
-        information: Fisher information of t at this noise: normal distances count by their Jacobian,
-            points near the edge by the square of their score.
+        information: Fisher information of t at this noise, shape (p, p): normal distances count by their
+            Jacobian, points near the edge by the square of their score.
     """
 
     position: Float[Array, "n 3"]
@@ -37,7 +37,7 @@ class Linearisation(NamedTuple):
 def linearise(
     coordinates: Coordinates, data: Data, t: Float[Array, " p"], uv: Float[Array, "n 2"]
 ) -> Linearisation:
-    """The surface at the coordinates t beside a cloud, at given foot points; see `Linearisation`."""
+    """Linearises the distances of a cloud to the surface at t, at given foot points."""
     model = coordinates.model(t)
     here = frame(model, uv)
     distance, beyond = here.distance(data.points), here.beyond(data.points)

@@ -18,34 +18,36 @@ from petalfit.observations import Contour
 from petalfit.residuals import ContourDistance
 from petalfit.surfaces import AbstractSurface, Outline, outline
 
-# Places are matched by where they are and where their normals point: one radian weighs as much as this
+# Places are matched by position and by the direction of their normals: one radian weighs as much as this
 # fraction of the contour's size.
 _TURN = 0.025
-# Places of the outline that look for the contour, besides those of the contour that look for it.
+# About this many places of the outline are matched with the contour, besides all those of the contour
+# that are matched with the outline.
 _BACK = 512
 # Distances far beyond this many pixels of an image of 256, or three times the typical one, hardly count.
 _KERNEL = 2.0 / 256
-# Neighbouring places of a contour err together: so many pixels count as one observation where starts are
-# compared. What they weigh beside other observations is measured, within limits.
+# The errors of neighbouring places of a contour are correlated: this many pixels count as one observation
+# when starts are compared. Beside other observations the number is measured, within the limits _TIMES.
 CORRELATED = 2.0
 _LONGEST = 24
 _TIMES = (0.7, 20.0)
-# Whatever the residuals say, a contour is not known better than this, in pixels.
+# A contour is never taken to be known better than this, in pixels, whatever the residuals are.
 _FINEST = 0.02
-_THIN = 1.5  # pixels
+_THIN = 1.5  # pixels; a thinner part of the model leaves no trace in a mask
 
 
 class Match(NamedTuple):
-    """Places of a contour and of an outline that belong together, in both directions.
+    """Pairs of corresponding places of a contour and an outline, matched in both directions.
 
     Attributes:
-        uv: On the surface, shape (n, 2).
-        seen: Where that is in the image, shape (n, 2).
-        normal: Of the outline, from the contour; or of the contour, from the outline; shape (n, 2).
-        place: On the contour, shape (n, 2).
-        length: How much of the contour or outline a row stands for, times its weight; shape (n,).
-        forward: Whether a row began at the contour, shape (n,).
-        number: Which place of the outline a row has, shape (n,).
+        uv: The place on the surface, shape (n, 2).
+        seen: The same place in the image, on the outline, shape (n, 2).
+        normal: The normal of the outline in pairs from contour to outline, of the contour in the others;
+            shape (n, 2).
+        place: The place on the contour, shape (n, 2).
+        length: The length of contour or outline that a pair stands for, times its weight; shape (n,).
+        forward: Whether a pair was searched for from the contour, shape (n,).
+        number: The index of the place among those of the outline, shape (n,).
     """
 
     uv: Float[np.ndarray, "n 2"]
@@ -58,17 +60,17 @@ class Match(NamedTuple):
 
     @property
     def distance(self) -> Float[np.ndarray, " n"]:
-        """In pixels, positive where the outline lies outside of the contour."""
+        """Distances in pixels, positive where the outline lies outside of the contour."""
         return np.sum(self.normal * (self.seen - self.place), axis=-1)
 
 
 @dataclasses.dataclass(frozen=True)
 class View:
-    """One silhouette's contour.
+    """The contour of one silhouette, ready to be matched.
 
     Attributes:
         contour: The contour.
-        size: Of the target's contour, in pixels.
+        size: The size of the target's contour, in pixels.
     """
 
     contour: Contour
@@ -76,29 +78,29 @@ class View:
 
     @property
     def turn(self) -> float:
-        """Pixels that one radian between normals weighs as much as."""
+        """The number of pixels that counts as much as one radian between normals."""
         return _TURN * self.size
 
     @property
     def kernel(self) -> float:
-        """Pixels beyond which distances hardly count."""
+        """The distance in pixels beyond which places hardly count."""
         return max(2.0, _KERNEL * self.size)
 
     @cached_property
     def tree(self) -> KDTree:
-        """Of the contour's places and normals."""
+        """The tree of the contour's places and normals."""
         return KDTree(self.features(self.contour.place, self.contour.normal))
 
     def features(self, place: np.ndarray, normal: np.ndarray) -> np.ndarray:
-        """What is compared in matching."""
+        """The feature vectors that matching compares: places, and normals in units of `turn`."""
         return np.concatenate([place, self.turn * normal], axis=1)
 
     def match(self, model: AbstractSurface) -> Match:
-        """Nearest places of the contour and the model's outline, in both directions."""
+        """Matches the contour and the model's outline in both directions, by nearest features."""
         return self.matched(outline(model, self.contour.camera))
 
     def matched(self, seen: Outline) -> Match:
-        """The same for an outline that is known."""
+        """Matches the contour with a given outline, in the same way."""
         return MatchedOutline.of(self, seen).match(self)
 
     def like(self, place: np.ndarray, normal: np.ndarray, length: np.ndarray) -> View:
@@ -109,12 +111,12 @@ class View:
         )
 
     def noise(self, match: Match) -> float:
-        """Standard deviation of the contour's distances, in pixels, robustly."""
+        """Robust standard deviation of the contour's distances, in pixels."""
         counts = match.forward & (match.length > 0)
         return max(spread_of(match.distance[counts]), _FINEST)
 
     def correlated(self, match: Match, noise: float) -> float:
-        """How many neighbouring pixels of the contour count as one observation."""
+        """The number of neighbouring pixels of the contour that count as one observation."""
         distance = np.clip(match.distance[match.forward], -3 * noise, 3 * noise)
         power = float(distance @ distance) + 1e-300
         lags = range(1, min(_LONGEST, len(distance) // 4))
@@ -122,13 +124,13 @@ class View:
         return float(np.clip(1 + 2 * sum(sums) / power, *_TIMES))
 
     def chi2(self, match: Match) -> float:
-        """Comparable between models: n log of the mean squared distance, large ones tempered."""
+        """A χ² for comparing models: n log of the mean squared distance, with large ones tempered."""
         tempered = self.kernel**2 * np.log1p((match.distance / self.kernel) ** 2)
         squared = np.average(tempered, weights=match.length) + _FINEST**2
         return match.length.sum() / (2 * CORRELATED) * float(np.log(squared))
 
     def cauchy_weight(self, match: Match, noise: float) -> Float[np.ndarray, " n"]:
-        """Weights of a heavy-tailed (Cauchy) distribution, in which wrong matches count for little."""
+        """Weights for a heavy-tailed (Cauchy) distribution, by which wrong matches count for little."""
         return 1 / (1 + (match.distance / max(3 * noise, self.kernel)) ** 2)
 
 
@@ -138,10 +140,10 @@ class MatchedOutline:
 
     Attributes:
         seen: The outline.
-        tree: Of its places and normals.
-        some: Which places look for the contour.
-        thin: Which of these lie where the model is thinner than a pixel, which leaves no trace in a mask:
-            there is nothing to look for.
+        tree: The tree of its places and normals.
+        some: Indices of the places that are matched with the contour, shape (n,).
+        thin: Whether the model is so thin at each of these that it leaves no trace in a mask, and so has
+            no counterpart there; shape (n,).
     """
 
     seen: Outline
@@ -160,7 +162,7 @@ class MatchedOutline:
         return cls(seen, tree, some, thin)
 
     def match(self, view: View) -> Match:
-        """Nearest places of the outline and a view's contour, in both directions."""
+        """Matches the outline and a view's contour in both directions, by nearest features."""
         seen, some, contour = self.seen, self.some, view.contour
         forth = np.asarray(self.tree.query(view.tree.data)[1])
         _, back = view.tree.query(self.tree.data[some])
@@ -187,7 +189,7 @@ class Rows(NamedTuple):
 
 
 def rows(contour: Contour, match: Match, root: np.ndarray) -> Rows:
-    """The residuals of matched places, each with the root of its weight over the noise."""
+    """The residuals of matched places; `root` is the root of their weights, divided by the noise."""
     matrix = contour.camera.matrix
     across = np.sum(match.normal * match.place, axis=-1, keepdims=True)
     plane = match.normal @ matrix[:2] - across * matrix[2]
@@ -195,7 +197,7 @@ def rows(contour: Contour, match: Match, root: np.ndarray) -> Rows:
 
 
 def padded(parts: Sequence[Rows]) -> ContourDistance:
-    """All rows one after the other, and copies of the first without weight up to a bucketed size."""
+    """The term of all rows in sequence, padded to a bucketed size by copies of the first of weight 0."""
     uv, plane, depth, root = map(np.concatenate, zip(*parts, strict=True))
     size = bucket(len(root))
     return ContourDistance(

@@ -1,4 +1,4 @@
-"""A mixture of points of a surface, blurred by noise, and of clutter that is spread evenly."""
+"""A mixture of points of a surface, blurred by noise, and clutter that is spread evenly in a box."""
 
 from __future__ import annotations
 
@@ -9,26 +9,27 @@ from jaxtyping import Float
 from scipy.special import log_ndtr
 
 _ITERATIONS = 30
-_FEWEST = 0.05  # of the points belong to the surface, at least
-_SOME = 1e-3  # and this share does not: a cloud is never known to be clean
+_FEWEST = 0.05  # least share of the points that belong to the surface
+_SOME = 1e-3  # least share of the points that do not: a cloud is never known to be clean
 
 
 def blurred_area(area: float, sigma: float) -> float:
-    """The area that points of a surface are spread over once noise has moved them.
+    """The area over which the points of a surface are spread once noise has moved them.
 
-    Without it a surface that shrinks to a point, with all points for noise, would be the likeliest.
+    With the area alone, the likeliest surface would be one that shrinks to a point and takes all
+    distances for noise.
     """
     return area + 2 * np.pi * sigma**2
 
 
 class Mixture(NamedTuple):
-    """Points of a surface among others.
+    """A fitted mixture: which points of a cloud belong to the surface.
 
     Attributes:
         members: The probability that each point belongs to the surface, shape (n,).
-        share: The share of all points that do.
-        sigma: Standard deviation of the distances of these.
-        log_likelihood: Log likelihood of the places of all points.
+        share: The share of all points that belong to the surface.
+        sigma: Standard deviation of the distances of these points.
+        log_likelihood: Log likelihood of the positions of all points.
     """
 
     members: Float[np.ndarray, " n"]
@@ -46,22 +47,22 @@ def mixture(
     sigma: float,
     known: bool = False,
 ) -> Mixture:
-    """The likeliest mixture of distances to a surface, by expectation and maximisation.
+    """The likeliest mixture for the distances of points to a surface, by expectation maximisation.
 
     Args:
-        distance: Of all points, along the normal.
-        beyond: How far each lies beyond the edge, negative inside.
-        weights: How many observations each counts for.
-        volume: That the clutter fills.
-        area: Of the surface.
-        sigma: Where to start.
-        known: Whether that is the noise itself.
+        distance: Normal distances of all points.
+        beyond: Distance of each point beyond the edge, negative inside.
+        weights: The number of observations that each point counts for.
+        volume: The volume that the clutter fills.
+        area: The area of the surface.
+        sigma: Standard deviation of the distances to start from.
+        known: Whether `sigma` is the known noise, which is then kept.
     """
     square, total, share = distance**2, float(np.sum(weights)), 0.5
     members, likelihood = np.ones(len(distance)), -np.inf
     smallest = 1e-9 * volume / area
     for _ in range(_ITERATIONS):
-        # As blurred by noise there is as much left of an even spread; see `petalfit.residuals.edge`.
+        # log_ndtr: what noise leaves of an even density near an edge; see `petalfit.residuals.edge`.
         logs = np.log(volume / blurred_area(area, sigma)) - 0.5 * np.log(2 * np.pi * sigma**2)
         logs = logs - 0.5 * square / sigma**2 + log_ndtr(-beyond / sigma)
         on = share * np.exp(logs)

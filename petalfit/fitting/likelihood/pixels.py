@@ -1,12 +1,12 @@
-"""The errors that pixels cause in a contour, from pictures of the fitted model itself.
+"""The errors that pixels cause in a contour, measured on pictures of the fitted model itself.
 
 A mask's contour differs from the outline by up to half a pixel, in a pattern that depends on where the
-outline runs through the grid; neighbouring places err together, and corners are cut off on one side.
-No formula for independent errors holds. So masks of the fitted model are made with the grid shifted by
-random fractions of a pixel, and their contours are matched as the target's were: the mean of the cost's
-derivative is the cause of a bias, and its covariance that of the errors. With the grid as it was, the
-simulated contour errs as the target's does, as far as the mask has no other noise: how far, the
-correlation of the two tells, and so much of it is taken off as well.
+outline runs through the grid. Errors of neighbouring places are correlated, and corners are cut off on
+one side, so that no formula for independent errors holds. Masks of the fitted model are therefore made
+with the grid shifted by random fractions of a pixel, and their contours are matched like the target's.
+The mean of the cost's derivative over these masks is the cause of a bias, and its covariance that of the
+errors. With the grid unshifted, the simulated contour has the errors of the target's, as far as the mask
+has no other noise. The correlation of the two shows how far, and that part is corrected as well.
 """
 
 from __future__ import annotations
@@ -24,28 +24,29 @@ from petalfit.surfaces import AbstractSurface, Outline, coverage, outline, outli
 
 _PICTURES = 32
 _RINGS = (193, 129)  # vertices of the mesh whose masks are made
-# Even a picture that repeats the target's errors does not repeat them all.
+# Least part of the covariance that remains: no picture repeats all errors of the target.
 _LEFT = 0.5
-# Residuals whose variance exceeds that of pictures by less than this fraction are the pixels' work.
+# If the variance of residuals exceeds that of pictures by less than this fraction, pixels explain it all.
 _NOISY = 0.15
-_MOST = 600  # places of a contour for the covariance of its noise
+_MOST = 600  # largest number of places of a contour for the covariance of its noise
 _HALF = 1.177  # standard deviations at which a Gaussian falls to one half
-# What shows in fewer pixels of the contour than this is not resolved: its place is uncertain by half a
-# pixel in a binary mask and a tenth in one of coverage, by more than the noise, and by more still if it
-# is smaller.
+# A parameter that shows in fewer pixels of the contour than this is not resolved. The place of the part
+# that it moves is uncertain by half a pixel in a binary mask and a tenth in one of coverage, at least by
+# 1.5 times the noise, and by more still if it shows in even fewer pixels.
 _RESOLVED = 15.0
 _BLUR = {True: 0.5, False: 0.1}
 
 
 class PixelErrors(NamedTuple):
-    """What a view's contour does to the cost, in the coordinates t.
+    """The effect of pixels on the cost of one view, in the coordinates t.
 
     Attributes:
-        score: Expected derivative at the truth, shape (p,).
-        score_covariance: Its covariance, shape (p, p).
-        likeness: How far a picture with the grid as it was errs as the target does, from 0 to 1.
+        score: Expected derivative of the cost at the true parameters, shape (p,).
+        score_covariance: Covariance of that derivative, shape (p, p).
+        likeness: The part of a simulated contour's errors, with the grid unshifted, that the target
+            shares; from 0 to 1.
         noise: Standard deviation of the contour's distances that weights were computed with, in pixels.
-        time: How many pixels counted as one observation.
+        time: The number of pixels that counted as one observation.
     """
 
     score: Float[np.ndarray, " p"]
@@ -56,15 +57,16 @@ class PixelErrors(NamedTuple):
 
 
 class _Scorer(NamedTuple):
-    """Derivatives of the cost for contours matched with one outline.
+    """Computes derivatives of the cost for contours that are matched with one outline.
 
     Attributes:
         model: The surface.
-        view: The target's.
+        view: The view of the target.
         matched: The model's outline.
-        slopes: Derivatives of the outline's places along their normals by t, pixels, shape (n, p).
-        noise: Of the contour's distances, in pixels.
-        time: How many pixels count as one observation.
+        slopes: Derivatives with respect to t of the outline's places along their normals, in pixels,
+            shape (n, p).
+        noise: Standard deviation of the contour's distances, in pixels.
+        time: The number of pixels that count as one observation.
     """
 
     model: AbstractSurface
@@ -75,35 +77,36 @@ class _Scorer(NamedTuple):
     time: float
 
     def weighted(self, match: Match) -> Float[np.ndarray, " n"]:
-        """Weights of a match's rows over the variance of the noise."""
+        """Weights of the pairs of a match, divided by the variance of the noise."""
         share = match.length * self.view.cauchy_weight(match, self.noise)
         return share / (2 * self.time * self.noise**2)
 
     def rows(self, match: Match) -> Float[np.ndarray, "n p"]:
-        """Derivatives of a match's distances."""
+        """Derivatives with respect to t of the distances of a match."""
         facing = np.sum(match.normal * self.matched.seen.normal[match.number], axis=-1)
         return facing[:, None] * self.slopes[match.number]
 
     def score(self, match: Match) -> Float[np.ndarray, " p"]:
-        """Derivative of half the weighted sum of squared distances."""
+        """Derivative with respect to t of half the weighted sum of squared distances."""
         return self.rows(match).T @ (self.weighted(match) * match.distance)
 
 
 def pixel_errors(
     coordinates: Coordinates, t: Float[np.ndarray, " p"], view: View, seed: int = 0
 ) -> PixelErrors:
-    """Pictures of the model at t, compared with the target."""
+    """Measures the errors that pixels cause, on pictures of the model at t compared with the target."""
     scorer, target = _scorer(coordinates, t, view)
     shifts = np.random.default_rng(seed).random((_PICTURES, 2))
     same, *others = _pictures(scorer, np.concatenate([np.zeros((1, 2)), shifts]))
     scores = np.array([scorer.score(match) for match in others])
     mean, spread = scores.mean(axis=0), np.cov(scores.T).reshape(len(t), len(t))
-    # Distances of the outline's places, which all matches share.
+    # Distances are compared at the outline's places, which all matches share.
     middle = np.mean([match.distance[~match.forward] for match in others], axis=0)
     observed = target.distance[~target.forward] - middle
     simulated = same.distance[~same.forward] - middle
     calm = target.length[~target.forward] / (1 + (observed / view.kernel) ** 2)
-    # What the parameters can follow may come from elsewhere: a cloud that pulls at the outline.
+    # Errors that the parameters can follow are left out: they may come from elsewhere, such as a cloud
+    # that pulls at the outline.
     rows = np.sqrt(calm)[:, None] * scorer.rows(target)[~target.forward]
     basis = np.linalg.qr(np.concatenate([rows, 1e-3 * np.eye(len(t))]))[0][: len(rows)]
     one, other = (np.sqrt(calm) * distance for distance in (simulated, observed))
@@ -121,9 +124,10 @@ def pixel_errors(
 def repeated(
     coordinates: Coordinates, t: Float[np.ndarray, " p"], view: View, errors: PixelErrors
 ) -> Float[np.ndarray, " p"]:
-    """What a picture of the model at t, with the grid as it was, has more of a score than the target.
+    """The score of a picture of the model at t, with the grid unshifted, less that of the target.
 
-    It is zero where the picture's contour is the target's, up to what the parameters cannot follow.
+    It is multiplied by the likeness. It is zero where the contour of the picture is that of the target,
+    up to errors that the parameters cannot follow.
     """
     scorer, target = _scorer(coordinates, t, view, errors.noise, errors.time)
     (same,) = _pictures(scorer, np.zeros((1, 2)))
@@ -157,10 +161,10 @@ def _slopes(coordinates: Coordinates, t: np.ndarray, contour: Contour, seen: Out
 
 
 def _pictures(scorer: _Scorer, shifts: np.ndarray) -> list[Match]:
-    """Matches of contours whose grid is shifted; only the part of the image that the model covers."""
+    """Matches for masks whose grid is shifted, of the part of the image that the model covers."""
     view, contour = scorer.view, scorer.view.contour
     rings = outline_rings(scorer.model, contour.camera, _RINGS)
-    # Beyond the image there is nothing to compare.
+    # Parts of the model beyond the image are cut off: there is nothing to compare them with.
     low = np.maximum(np.floor(np.min([ring.min(axis=0) for ring in rings], axis=0)) - 2, -2)
     high = np.ceil(np.max([ring.max(axis=0) for ring in rings], axis=0)) + 3
     high = np.minimum(high, np.array(contour.camera.shape[::-1]) + 3)
@@ -170,7 +174,7 @@ def _pictures(scorer: _Scorer, shifts: np.ndarray) -> list[Match]:
         mask = coverage([ring - low + shift for ring in rings], (int(lines), int(columns)))
         place, normal, length = trace(mask >= 0.5 if contour.binary else mask)
         if len(place) == 0:
-            # The model is hardly in the image: there is no fit whose errors matter.
+            # The model is hardly in the image: no fit here has errors that matter.
             place, normal, length = contour.place, contour.normal, contour.length
         else:
             place = place + low - shift
@@ -184,22 +188,22 @@ def _variance(match: Match) -> float:
 
 
 def _of_noise(scorer: _Scorer, match: Match, excess: float) -> Float[np.ndarray, "p p"]:
-    """Covariance of the score by noise that is correlated along the contour.
+    """Covariance of the score that noise causes, if it is correlated along the contour.
 
-    Its correlation is taken as a Gaussian of the distance along the contour, as wide as that of the
-    target's distances. What the parameters have followed is missing in these, so that they are smaller
-    than the noise is: its variance is the one that would leave them.
+    The correlation is taken as a Gaussian of the distance along the contour, as wide as that of the
+    target's distances. These are smaller than the noise, because the parameters have followed a part of
+    it. The variance of the noise is the one that would leave such distances.
 
     Args:
         scorer: The cost.
-        match: The target's.
-        excess: Which part of the residuals' variance is noise, and no work of the pixels.
+        match: The match of the target.
+        excess: The part of the residuals' variance that is noise, and not caused by pixels.
     """
     every = np.flatnonzero(match.forward)
     every = every[:: -(-len(every) // _MOST)]
     weights = 2 * scorer.weighted(match)[every]
     slopes = scorer.rows(match)[every]
-    # Corners that the noise has rounded off are no measure of it.
+    # Distances at corners that the noise has rounded off are no measure of it: they are clipped.
     distance = np.clip(match.distance[every], -3 * scorer.noise, 3 * scorer.noise)
     calm = weights > 0
     weights = weights * (np.sum(match.length[match.forward]) / np.sum(match.length[every]))
@@ -212,7 +216,8 @@ def _of_noise(scorer: _Scorer, match: Match, excess: float) -> Float[np.ndarray,
     noise = np.exp(-0.5 * (lag / width) ** 2)
     residual = np.diag(left @ noise @ left.T)
     variance = excess * np.sum(distance[calm] ** 2) / np.sum(residual[calm])
-    # So few independent stretches of contour tell the variance, whose error counts as Student's does.
+    # The variance is estimated from few independent stretches of contour: its error widens the
+    # distribution to Student's.
     stretches = np.count_nonzero(calm) / (np.sqrt(2 * np.pi) * max(width, 0.4)) - slopes.shape[1]
     variance *= max(stretches, 4.0) / (max(stretches, 4.0) - 2)
     parts = weights[:, None] * slopes
@@ -220,7 +225,7 @@ def _of_noise(scorer: _Scorer, match: Match, excess: float) -> Float[np.ndarray,
 
 
 def _half_lag(distance: np.ndarray, calm: np.ndarray) -> float:
-    """How many places apart the correlation of distances falls below one half."""
+    """The number of places along the contour at which the correlation of distances falls to one half."""
     distance, before = np.where(calm, distance, 0.0), 1.0
     power = float(np.mean(distance[calm] ** 2)) + 1e-300
     for lag in range(1, len(distance) // 4):
@@ -233,7 +238,7 @@ def _half_lag(distance: np.ndarray, calm: np.ndarray) -> float:
 
 
 def _unresolved(scorer: _Scorer, match: Match) -> Float[np.ndarray, "p p"]:
-    """Covariance of the score by parameters that show in a few pixels only, where slopes mislead."""
+    """Covariance of the score for parameters that show in few pixels only, where slopes mislead."""
     rows = scorer.rows(match)[match.forward]
     weighted = 2 * scorer.weighted(match)[match.forward, None] * rows
     power = weighted * rows
@@ -242,7 +247,7 @@ def _unresolved(scorer: _Scorer, match: Match) -> Float[np.ndarray, "p p"]:
     length = float(match.length[match.forward].mean())
     blur = max(_BLUR[scorer.view.contour.binary], 1.5 * scorer.noise)
     blur = blur * (_RESOLVED / (pixels * length + 1e-9)) ** 2
-    # Pixels by which one unit of t moves what shows; the error in t is at most the typical range.
+    # Speed: pixels by which one unit of t moves the contour. The error of t is at most the typical range.
     speed = np.sum(power * np.abs(rows), axis=0) / total + 1e-9
     information = weighted.T @ rows
     return (information * np.where(blur < speed, blur / speed, 1.0) ** 2) @ information

@@ -1,4 +1,4 @@
-"""Compiled programs that all families share: few and small, because a first fit waits for them."""
+"""Compiled programs that all families share: few and small, because a first fit must compile them."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from petalfit.surfaces import AbstractMap, AbstractSurface
 
 
 def _positions(surfaces: AbstractSurface, uv: Float[Array, "n 2"]) -> Float[Array, "k n 3"]:
-    """Places of a batch of surfaces, whose leaves have shape (k,)."""
+    """Positions on a batch of surfaces, whose leaves have shape (k,)."""
     return jax.vmap(lambda surface: surface.position(uv[:, 0], uv[:, 1]))(surfaces)
 
 
 def _distances(
     surface: AbstractSurface, points: Float[Array, "n 3"], uv: Float[Array, "n 2"]
 ) -> Float[Array, " n"]:
-    """From points to their foot points."""
+    """Distances from points to their foot points."""
     return jnp.linalg.norm(points - surface.position(uv[:, 0], uv[:, 1]), axis=-1)
 
 
@@ -44,14 +44,14 @@ places = Program(_places)
 def _contour_slopes(
     coordinates: Coordinates, t: Float[Array, " p"], term: ContourDistance
 ) -> Float[Array, "n p"]:
-    """Derivatives of a contour's residuals, in units of its noise."""
+    """Derivatives with respect to t of a contour's residuals, in units of its noise."""
     model = coordinates.model(t)
     pulled = pull_back(model, *term.slopes(model))
     return coordinates.gather(pulled) * coordinates.slopes(t)
 
 
 def _contour_covectors(model: AbstractSurface, term: ContourDistance) -> Float[Array, "n 3"]:
-    """Derivatives of a contour's residuals by the places of the surface."""
+    """Derivatives of a contour's residuals with respect to positions on the surface."""
     return term.slopes(model)[1]
 
 
@@ -71,5 +71,5 @@ def refine(
     iterations: int,
     around: bool = True,
 ) -> Float[Array, "n 2"]:
-    """See `refine_foot_points`; the same program whether or not any look around."""
+    """See `refine_foot_points`; one compiled program serves both values of `around`."""
     return _refine(surface, points, uv, iterations, around)

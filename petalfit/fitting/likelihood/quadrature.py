@@ -15,12 +15,12 @@ SHAPE = (25, 33)
 
 
 class Quadrature(NamedTuple):
-    """Nodes that are evenly spaced in (u, v).
+    """A quadrature with nodes that are evenly spaced in (u, v).
 
     Attributes:
-        uv: The nodes in the domain.
-        places: The nodes in space.
-        area: The area around each node.
+        uv: The nodes in the domain, shape (n, 2).
+        places: The nodes in space, shape (n, 3).
+        area: The area around each node, shape (n_u, n_v) with n = n_u n_v.
     """
 
     uv: Float[np.ndarray, "n 2"]
@@ -36,7 +36,7 @@ class Quadrature(NamedTuple):
         return cls(uv, places, areas_around(places.reshape(*SHAPE, 3)))
 
     def blurred(self, sigma: float) -> Float[np.ndarray, "25 33"]:
-        """The areas over which noise σ spreads what lies there: larger where the surface is narrow."""
+        """The areas over which noise σ spreads the points of each node: larger where it is narrow."""
         grid, area = self.places.reshape(*SHAPE, 3), self.area
         for axis in (0, 1):
             along = np.linalg.norm(np.gradient(grid, axis=1 - axis), axis=-1)
@@ -47,6 +47,6 @@ class Quadrature(NamedTuple):
 
 
 def areas_around(grid: Float[np.ndarray, "n_u n_v 3"]) -> Float[np.ndarray, "n_u n_v"]:
-    """The area of a sheet around each of its nodes."""
+    """The area of a surface around each node of a grid on it."""
     sides = np.gradient(grid, axis=0), np.gradient(grid, axis=1)
     return np.linalg.norm(np.cross(*sides), axis=-1)

@@ -1,4 +1,4 @@
-"""Robust estimates of scale, and robust weights: a few wild values do not move them."""
+"""Robust estimates of scale, and robust weights: a few extreme values hardly change them."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 
 def spread_of(distance: Float[np.ndarray, "..."]) -> float:
-    """Standard deviation of a Gaussian that has the same median distance from zero."""
+    """A robust standard deviation: that of a Gaussian with the same median distance from zero."""
     return 1.4826 * float(np.median(np.abs(distance)))
 
 

@@ -23,7 +23,7 @@ from petalfit.surfaces import AbstractSurface
 
 @dataclasses.dataclass(frozen=True)
 class ObservedViews(AbstractObserved):
-    """All silhouettes of a fit together, so that their number changes no program but its size."""
+    """The likelihood of all silhouettes of a fit in one term, so that one program serves any number."""
 
     views: tuple[View, ...]
 
@@ -36,7 +36,7 @@ class ObservedViews(AbstractObserved):
         for view in self.views:
             match = view.match(model)
             noise = view.noise(match)
-            # Both directions tell the same: together they count once.
+            # Both directions carry the same information: together they count once.
             share = view.cauchy_weight(match, noise) / (2 * view.correlated(match, noise))
             parts.append(rows(view.contour, match, np.sqrt(match.length * share) / noise))
         return padded(parts)
@@ -51,7 +51,7 @@ class ObservedViews(AbstractObserved):
     def score_and_information(
         self, coordinates: Coordinates, t: np.ndarray, term: AbstractTerm
     ) -> ScoreAndInformation:
-        """With what pixels do to the score; see `petalfit.fitting.likelihood.pixels`."""
+        """See `AbstractObserved`; the score is the one that pixels cause (`likelihood.pixels`)."""
         term = self.match(coordinates.model(t), None)
         errors = tuple(pixel_errors(coordinates, t, view) for view in self.views)
         information, _ = self.information(coordinates, t, term)
@@ -62,7 +62,7 @@ class ObservedViews(AbstractObserved):
     def second_correction(
         self, coordinates: Coordinates, t: np.ndarray, found: ScoreAndInformation
     ) -> np.ndarray:
-        """The score of the pattern in which the target's own pixels err."""
+        """The score that the pattern of the target's own pixel errors causes."""
         pairs = zip(self.views, found.notes, strict=True)
         return np.sum([repeated(coordinates, t, *pair) for pair in pairs], axis=0)
 

@@ -1,6 +1,6 @@
-"""Annealing: weights that fall with distance, and a scale that falls while the surface comes nearer.
+"""Annealing: weights fall with distance, on a scale that shrinks while the surface comes nearer.
 
-Far from the truth a wide kernel takes in what a narrow one would throw away (graduated non-convexity;
+Far from the truth, a wide kernel keeps points that a narrow one would reject (graduated non-convexity;
 Blake and Zisserman, 1987). At the end the points are a mixture of the surface and its background.
 """
 
@@ -21,11 +21,12 @@ from petalfit.fitting.solver.iterate import Iterate
 from petalfit.residuals import TangentDistance
 from petalfit.surfaces import AbstractSurface
 
-_UNLIKELY = 0.05  # weight of points that lie on no sheet, while a model is still far away
-_WIDEST, _NARROWEST, _NARROWING = 6.0, 3.0, 0.6  # of the kernel, in spreads of the distances
-_AT_ONCE, _ROUNDS = 3, 36
+_UNLIKELY = 0.05  # weight of points that lie on no surface, while a model is still far away
+# Scales of the kernel in robust standard deviations of the distances, and the factor between two of them.
+_WIDEST, _NARROWEST, _NARROWING = 6.0, 3.0, 0.6
+_AT_ONCE, _ROUNDS = 3, 36  # rounds between two mixtures, and all together
 _TOLERANCE = 0.02  # standard errors
-_UNCHANGED = 0.02  # of a probability
+_UNCHANGED = 0.02  # a smaller change of a probability is none
 
 
 def approach(
@@ -36,18 +37,18 @@ def approach(
     weights: Float[np.ndarray, " n"],
     likely: Bool[np.ndarray, " n"],
 ) -> Iterate:
-    """Brings a rough start to the surface, with a kernel that narrows.
+    """Brings a rough start near to the surface, with a kernel that narrows.
 
     Args:
-        coordinates: Free parameters.
-        background: What else is among the points.
+        coordinates: The free parameters.
+        background: The model of points that do not belong to the surface.
         model: The start.
-        points: All of them.
-        weights: How many observations each counts for.
-        likely: Which of them seem to belong to a surface; the others count for little.
+        points: All points that have a weight.
+        weights: The number of observations that each point counts for.
+        likely: Whether each point seems to belong to a surface; the others count for little.
 
     Returns:
-        The end, with the mixture of the points there.
+        The end, with the mixture of its points.
     """
     base = weights * np.where(likely, 1.0, _UNLIKELY)
     cloud = ObservedCloud(pad(points, base, None))
@@ -80,16 +81,16 @@ def clear(
     """Brings a start near the surface to the likeliest surface, and finds the points that belong to it.
 
     Args:
-        coordinates: Free parameters.
-        background: What else is among the points.
+        coordinates: The free parameters.
+        background: The model of points that do not belong to the surface.
         model: The start.
-        points: All of them.
-        weights: How many observations each counts for.
+        points: All points that have a weight.
+        weights: The number of observations that each point counts for.
         noise: σ, or None to estimate it.
-        prior: What is known besides.
+        prior: The prior on the coordinates; None for no prior.
 
     Returns:
-        The end, with the mixture of the points there.
+        The end, with the mixture of its points.
     """
     cloud = ObservedCloud(pad(points, weights, noise))
     term, rounds, members = cloud.match(model, None), 0, None
@@ -117,7 +118,7 @@ def _followed(
     tolerance: float,
     prior: Prior | None = None,
 ) -> Iterate:
-    """A few rounds on points with these weights."""
+    """The end of a few rounds of the solver on points with these weights."""
     seen = ObservedCloud(pad(points, weights, noise))
     return minimise(coordinates, [seen], model, [seen.at(term.uv)], rounds, tolerance, prior)
 

@@ -1,4 +1,4 @@
-"""Least squares: every point belongs to the surface, and errs by Gaussian noise."""
+"""Least squares: every point belongs to the surface, and has Gaussian noise."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from petalfit.fitting.outliers.loss import AbstractBackground, AbstractLoss
 
 
 class Linear(AbstractLoss):
-    """Least squares, which is right for noise without gross outliers."""
+    """The loss of least squares, which is right for noise without gross outliers."""
 
     name: ClassVar[str] = "linear"
     meaning: ClassVar[str] = "all points belong to the petal"

@@ -1,4 +1,4 @@
-"""Local planes: which points lie on a sheet, by their neighbours alone, before any model is there."""
+"""Local planes: they show which points lie on a surface, before there is any model of it."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from scipy.spatial import KDTree
 
 from petalfit.fitting.likelihood.scales import geman_mcclure, spread_of
 
-_NEIGHBOUR = 8  # whose distance tells how dense it is around a point
-_PLANE = 12  # neighbours that a local plane is laid through
-_SPLIT = 0.7  # of the variance: two kinds of density rather than one that varies
-_SPARSE = 2.5  # median neighbour distances
-_OFF = 4.0  # robust standard deviations from the local plane
+_NEIGHBOUR = 8  # the distance to this neighbour measures the density around a point
+_PLANE = 12  # neighbours that a local plane is fitted to
+_SPLIT = 0.7  # part of the variance between two groups, from which there are two densities, not one
+_SPARSE = 2.5  # a point is isolated beyond this many median neighbour distances
+_OFF = 4.0  # a point is off its local plane beyond this many robust standard deviations
 _ROUNDS = 3
 _FEWEST = 32
 
 
 def on_sheets(points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-    """Which points seem to lie on a sheet: dense around, and near the plane through their neighbours.
+    """Whether each point seems to lie on a surface: in a dense place, near its neighbours' plane.
 
-    Keeps nearly all of a sheet, however it is bent, and a tenth of a clutter as dense as a third of
-    all points in the sheet's own box. It knows nothing of a model, so what it keeps is where a search
-    may start, and no verdict.
+    Nearly all points of a surface are kept, however it is bent, and a tenth of the clutter if that is a
+    third of all points and fills the surface's own box. The test knows no model: what it keeps is good to
+    start a search with, but is no final decision.
 
     Args:
         points: Shape (n, 3).
@@ -42,7 +42,7 @@ def on_sheets(points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
 
 
 def _dense(points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-    """Of two kinds of density the denser one, if there are two (Otsu, 1979)."""
+    """Whether each point lies in the denser of two groups, if there are two densities (Otsu, 1979)."""
     far = np.asarray(KDTree(points).query(points, _NEIGHBOUR + 1)[0])[:, -1]
     logs = np.log(np.maximum(far, 1e-3 * np.median(far) + 1e-300))
     ordered = np.sort(logs)
@@ -58,7 +58,7 @@ def _dense(points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
 def _local_planes(
     points: Float[np.ndarray, "n 3"],
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """The distance to a far neighbour, and from the plane through the neighbours, of every point."""
+    """The distances of every point to its eighth neighbour, and from the plane near its neighbours."""
     tree = KDTree(points)
     gaps, near = map(np.asarray, tree.query(points, _PLANE + 1))
     around = points[near[:, 1:]]

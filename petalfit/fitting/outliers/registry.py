@@ -14,10 +14,10 @@ LOSSES: dict[str, AbstractLoss] = {loss.name: loss for loss in (
 
 
 def loss_named(name: str) -> AbstractLoss:
-    """The loss of that name.
+    """The loss that has a given name.
 
     Raises:
-        TargetError: There is none.
+        TargetError: No loss has this name.
     """
     if name not in LOSSES:
         known = " or ".join(map(repr, LOSSES))

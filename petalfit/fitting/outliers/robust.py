@@ -1,4 +1,4 @@
-"""The robust loss: points may be outliers, which are spread evenly around the surface."""
+"""The robust loss: points may be outliers, which are spread evenly in a box around all points."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from petalfit.surfaces import AbstractSurface
 
 @dataclasses.dataclass(frozen=True)
 class Clutter(AbstractBackground):
-    """Points that belong to no surface and are spread evenly.
+    """A background of points that belong to no surface and are spread evenly in a box.
 
     Attributes:
         volume: The volume of the box around all points, along their principal axes.
@@ -28,7 +28,7 @@ class Clutter(AbstractBackground):
 
     @classmethod
     def around(cls, points: Float[np.ndarray, "n 3"]) -> Clutter:
-        """Clutter in the box that the points lie in."""
+        """Clutter in the box around the points."""
         return cls(box_volume(points))
 
     def mixture(
@@ -46,7 +46,7 @@ class Clutter(AbstractBackground):
 
 
 class Robust(AbstractLoss):
-    """Each point counts by the probability that it belongs to the surface, and not to clutter."""
+    """The robust loss: each point counts by its probability to belong to the surface, not to clutter."""
 
     name: ClassVar[str] = "robust"
     meaning: ClassVar[str] = "points may be outliers or clutter, which are found"

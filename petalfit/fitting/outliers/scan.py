@@ -1,4 +1,4 @@
-"""A cloud that is to be fitted, with all that is known of its points before any model is there."""
+"""A cloud to be fitted, with what is known of its points before there is a model."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from petalfit.fitting.outliers.loss import AbstractBackground, AbstractLoss
 
 @dataclasses.dataclass(frozen=True)
 class Scan:
-    """Points of a surface, and what else may be among them.
+    """The points of a cloud, and the assumptions of its loss about them.
 
     Attributes:
-        points: All points that have a weight.
-        weights: How many observations each counts for.
-        order: A random order of the points; a start is sought with the first ones.
+        points: The points that have a weight, shape (n, 3).
+        weights: The number of observations that each point counts for, shape (n,).
+        order: A random order of the points, shape (n,); starts are searched for with the first ones.
         noise: σ, or None to estimate it.
-        background: What else is there, if not all points belong to the surface.
-        likely: Which points seem to belong to a surface.
+        background: The model of points that do not belong to the surface; None if all belong to it.
+        likely: Whether each point seems to belong to a surface, shape (n,).
     """
 
     points: Float[np.ndarray, "n 3"]
@@ -39,12 +39,12 @@ class Scan:
         noise: float | None,
         loss: AbstractLoss,
     ) -> Scan:
-        """A cloud in which there may be whatever the loss makes allowance for."""
+        """The scan of points under the assumptions of a loss."""
         background, likely = loss.background(points), loss.likely(points)
         return cls(points, weights, order, noise, background, likely)
 
     def first(self, count: int) -> Scan:
-        """The scan of so many of the first points."""
+        """The scan of the first `count` points."""
         return Scan(
             self.points[:count],
             self.weights[:count],
@@ -55,5 +55,5 @@ class Scan:
         )
 
     def some(self, count: int) -> Int[np.ndarray, " m"]:
-        """Numbers of some points that seem to belong to a surface."""
+        """Indices of at most `count` points that seem to belong to a surface, in random order."""
         return self.order[self.likely[self.order]][:count]
