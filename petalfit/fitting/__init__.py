@@ -1,4 +1,4 @@
-"""From a target to parameters: starts, the solver, uncertainty, the result."""
+"""Fitting of models to targets: starts, solvers, errors, and the result."""
 
 from petalfit.fitting.colours.fit import ColourFit as ColourFit
 from petalfit.fitting.colours.texture import colours_on as colours_on

@@ -1,4 +1,4 @@
-"""The choice of a family: the one that explains a cloud best, for the numbers that it may choose."""
+"""The choice of a family: the one that explains a cloud best, given its number of parameters."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from petalfit.results import Rank
 
 
 def ranked(results: list[FitResult], loss: AbstractLoss) -> FitResult:
-    """The result with the least information criterion, and in it the ranking of all.
+    """The result with the least information criterion, with the ranking of all results in it.
 
     Args:
         results: Fits of different families to one cloud.
@@ -35,8 +35,8 @@ def ranked(results: list[FitResult], loss: AbstractLoss) -> FitResult:
 def information_criterion(result: FitResult, loss: AbstractLoss) -> float:
     """Schwarz's criterion (1978), −2 log likelihood + k log n, by which fits of one cloud are compared.
 
-    Points are spread evenly over the surface, so that a larger one makes each of them less likely, and
-    blurred by Gaussian noise; the loss may make allowance for others.
+    The likelihood assumes points that are spread evenly over the surface, so that a larger surface makes
+    each of them less likely, and that are blurred by Gaussian noise. The loss may allow for outliers.
     """
     part = result.agreements[0]
     assert isinstance(part.target, PointCloud)

@@ -6,10 +6,10 @@ from petalfit.results import Estimate
 
 
 class FitError(RuntimeError):
-    """A fit of usable data that did not converge.
+    """The error of a fit of usable data that did not converge.
 
     Attributes:
-        result: The result that it ended with.
+        result: The result of the fit as it ended.
     """
 
     def __init__(self, message: str, result: Estimate) -> None:

@@ -1,4 +1,4 @@
-"""The front door: a target and a model in, a `FitResult` out."""
+"""The entry points: `fit` and `fit_petal` take a model and a target, and return a `FitResult`."""
 
 from __future__ import annotations
 
@@ -50,12 +50,13 @@ def fit_petal(
 ) -> FitResult:
     """Recover the parameters of a petal from a target: `fit` with a petal as the default model.
 
-    With model="auto" all families of petals are fitted to a cloud, and the one that explains it best for
-    what it may choose is the result; its `ranking` has the others.
+    With model="auto" all families of petals are fitted to a cloud. The result is the one that explains
+    the cloud best, given its number of parameters; its `ranking` lists the others.
 
     Args:
         target: See `fit`.
-        model: A petal; of an instance, parameters that are not free keep their values. Or "auto".
+        model: A class of petals or a petal, or "auto". Parameters that are not free keep the values of
+            the petal, or the defaults of the class.
         options: The other options of `fit`.
 
     Returns:
@@ -94,37 +95,37 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
     surface: type[AbstractSurface] | AbstractSurface | FitResult | None = None,
     palette: tuple[str, str] | None = None,
 ) -> FitResult | ColourFit:
-    """Recover the parameters of a component from point clouds, silhouettes, or both; or of a pattern.
+    """Recover the parameters of a component from clouds and silhouettes, or of a pattern from colours.
 
     Args:
-        model: A component, or a pattern of colours; of an instance, parameters that are not free keep
-            their values. "auto" for the best of several petals.
-        target: Of a cloud an (N, 3) array, a `PointCloud`, a trimesh mesh or cloud, or the path of a
-            file; of a silhouette a `Silhouette`, an (H, W) mask, or the path of an image; or a list of
-            these, which are fitted jointly, each in units of its own noise. Of a pattern a `Texture`, an
-            array or the path of an image that makes one, or a cloud with colours.
-        pose: "known": clouds are in the model's frame and unit, and cameras stand in it. "rigid": a
-            cloud, or what cameras see, lies anywhere, in the model's unit. "similarity": a cloud's unit
-            is unknown too, and the result's pose has the scale. Parameters that a pose makes redundant
+        model: A component or a pattern of colours, a class or an instance. Parameters that are not free
+            keep the values of `init` or the instance, or the class's defaults. Or "auto": the best petal.
+        target: For a component, a cloud: an (N, 3) array, a `PointCloud`, a trimesh mesh or cloud, or the
+            path of a file. Or a silhouette: a `Silhouette`, an (H, W) mask, or the path of an image. Or a
+            list of these, which are fitted jointly, each in units of its own noise. For a pattern, a
+            `Texture`, an array or the path of an image that makes one, or a cloud with colours.
+        pose: "known": clouds and cameras are in the model's frame and unit. "rigid": the cloud, or what
+            the cameras see, lies anywhere, in the model's unit. "similarity": the unit of the cloud is
+            unknown too, and the result's pose has the scale. Parameters that a pose makes redundant
             keep their values: c_z of a PeonyPetal, and with "similarity" length of a BladePetal.
-        camera: What took the masks that are no `Silhouette` with a camera of their own. A single mask
-            may have none: it is then an orthographic front view of unknown scale and position, the
+        camera: The camera of all masks that are not a `Silhouette` with its own. A single mask may have
+            no camera: it is then taken for an orthographic front view of unknown scale and position, the
             lengths are relative, and the result's pose maps the model to pixels.
         free: Names of the parameters to fit; by default all that the model does not declare fixed.
         init: An instance to start from. Without it the fit finds its own start.
-        noise: Standard deviation σ of the clouds' noise, in their unit; estimated if None. That of
-            silhouettes is always estimated. An array has one σ for each point of a cloud.
+        noise: Standard deviation σ of the clouds' noise, in their unit; estimated if None. An array of
+            shape (N,) has one σ for each point of a single cloud. For silhouettes σ is always estimated.
         loss: "linear": least squares, right for noise without gross outliers. "robust": points may
-            be outliers or clutter; each counts by the probability that it belongs to the surface, which
-            is in the result's weights.
-        seed: Of random choices; the result hardly depends on it.
-        throw: Raise `FitError` if the solver fails; else return a result with `converged` False.
-        progress: Called with a line of text whenever a stage of the fit begins.
-        surface: For a pattern and a cloud, what the cloud is of: a class, which is fitted first, an
+            be outliers or clutter. Each point then counts by the probability that it belongs to the
+            surface, which is in the result's weights.
+        seed: The seed of random choices; the result hardly depends on it.
+        throw: Whether to raise `FitError` if the solver fails; else `converged` of the result is False.
+        progress: A function that is called with a line of text whenever a stage of the fit begins.
+        surface: For a pattern and a cloud, the surface of the cloud: a class, which is fitted first, an
             instance in the cloud's frame, or the result of a fit to the cloud; by default a petal.
-        palette: For a pattern and colours, the two colours that it mixes, as CSS writes them, the ground
-            first. Without it they are the ends of the colours themselves, the ground the lighter one,
-            and intensities count between those.
+        palette: For a pattern and colours, the two colours that it mixes, in CSS notation, the ground
+            first. By default they are the ends of the range of the colours themselves, the lighter one
+            as the ground. Intensities run from 0 to 1 between the two.
 
     Returns:
         The result. Read its `warnings`.
@@ -180,12 +181,12 @@ def check_request(
     init: Fittable | None,
     noise: Noise,
 ) -> None:
-    """Refuses all that can be wrong about a fit before its target is seen.
+    """Checks all options of a fit that can be checked before its target is read.
 
     Raises:
         TargetError: The options do not fit the model.
-        TypeError: The model is nothing that can be fitted.
-        ValueError: An option is none of the words or numbers that it may be.
+        TypeError: The model cannot be fitted.
+        ValueError: An option has a value that is not allowed.
     """
     checks.check_pose_name(pose)
     loss_named(loss)
@@ -216,7 +217,7 @@ def _fit_component(
     init: AbstractSurface | None,
     asked: dict[str, Any],
 ) -> FitResult:
-    """A component beside its targets, whether or not the solver failed."""
+    """The result of a fit of a component, whether or not the solver failed."""
     template, names = configuration(model, free, init)
     assert isinstance(template, AbstractSurface)
     family = family_of(template)
@@ -238,7 +239,7 @@ def _fit_component(
 
 
 def _fit_best(targets: list[AbstractObservation], asked: dict[str, Any]) -> FitResult:
-    """The best of all families of petals for one cloud."""
+    """The result of the best of all families of petals for one cloud."""
     if len(targets) > 1 or targets[0].kind != "cloud":
         raise TargetError("model='auto' compares families on one cloud; name a model for masks.")
     results, refusals = [], []
@@ -259,7 +260,7 @@ def _as_texture(
     seed: int,
     progress: Callable[[str], None] | None,
 ) -> Texture:
-    """What a pattern is fitted to."""
+    """The texture that a pattern is fitted to."""
     if isinstance(target, Texture):
         return target
     if isinstance(target, str | os.PathLike) and Path(target).suffix.lower() in IMAGE_SUFFIXES:

@@ -1,4 +1,4 @@
-"""Profile likelihoods: how much worse a model explains its targets with a parameter held elsewhere."""
+"""Profile likelihoods: how much worse a model explains its targets with one parameter held elsewhere."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from petalfit.surfaces import with_value
 
 _REACH = 5.0  # standard errors to either side
 _NEAR = 12.0  # χ² above the minimum up to which a parabola is fitted
-_TRIMMED = 0.05  # of a contour
-_INSIDE = 1e-6  # of the bounds
+_TRIMMED = 0.05  # part of a contour, the farthest places, that is left out
+_INSIDE = 1e-6  # margin inside the bounds, relative to their distance
 
 
 def profile_of(
@@ -41,7 +41,7 @@ def profile_of(
     tell = progress or (lambda text: None)
     low, high = _range(result, name)
     values = np.linspace(low, high, points)
-    # Waves that do not show would follow the noise, differently at every point.
+    # Waves that are not determined are left out: they would follow the noise, differently at every value.
     waves, start = result.model.oscillation, result.model
     hidden = (
         []
@@ -56,8 +56,8 @@ def profile_of(
     if not rest:
         raise TargetError(f"{name} is the only free parameter; its interval says all there is.")
     found = np.full(points, np.inf)
-    # Outwards from the fitted value, and back: each point starts at its neighbours' ends, and the
-    # better one counts.
+    # The values are taken outwards from the fitted one, and back. Each fit so starts at the ends of both
+    # neighbours, and the better one counts.
     middle = int(np.argmin(np.abs(values - result.values[name])))
     for side in (range(middle, points), range(middle - 1, -1, -1)):
         model = start
@@ -83,11 +83,11 @@ def profile_of(
 def _adjusted(
     result: FitRecord, name: str, values: np.ndarray, cost: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The profile around the fitted value, which has its bias removed, and in true units.
+    """Adjusts the minimum and the curvature of a profile to the fit and its covariance.
 
-    Distances of a contour are correlated, so that their sum of squares is no χ², and pixels shift
-    their minimum. Minimum and curvature are brought to those of the fit and its covariance (Chandler and
-    Bate, 2007, doi:10.1093/biomet/asm015).
+    Distances of a contour are correlated, so that their sum of squares is no χ², and pixels shift its
+    minimum; the fitted value has this bias removed (Chandler and Bate, 2007,
+    doi:10.1093/biomet/asm015).
     """
     error = result.stderr[name]
     if not np.isfinite(error) or all(part.unit == "length" for part in result.agreements):
@@ -100,9 +100,9 @@ def _adjusted(
 
 
 def _cost(end: Iterate) -> float:
-    """χ²; of contours as smooth as can be had, from the contour's side and without the farthest places.
+    """The χ² of an end, for contours without their farthest places.
 
-    These jump from one part of the outline to another.
+    These jump from one part of the outline to another, and would make the profile uneven.
     """
     total = 0.0
     for seen in end.residuals:
@@ -117,7 +117,7 @@ def _cost(end: Iterate) -> float:
 
 
 def _range(result: FitRecord, name: str) -> tuple[float, float]:
-    """Some standard errors to either side, or the typical range of what is not determined."""
+    """The range of a profile: `_REACH` standard errors, or the typical range if these are infinite."""
     declared = parameters(result.model)[name]
     value, reach = result.values[name], _REACH * result.stderr[name]
     low, high = (value - reach, value + reach) if np.isfinite(reach) else declared.typical

@@ -1,4 +1,4 @@
-"""The result of a fit: its record, and what can be made of it."""
+"""The result of a fit: its record, with methods that make a report or a profile of it."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ class FitResult(FitRecord):
     def with_profile(
         self, name: str, points: int = 11, progress: Callable[[str], None] | None = None
     ) -> FitResult:
-        """The result with the profile likelihood of a parameter, which takes a fit for every point.
+        """The result with the profile likelihood of a parameter added. It takes a fit for every point.
 
-        A profile shows limits that are not symmetric, and a second minimum, which a covariance does not.
+        Unlike a covariance, a profile shows asymmetric limits and a second minimum.
 
         Args:
-            name: A free parameter.
-            points: How many values are held, over 5 standard errors to either side, or over the typical
-                range of what is not determined.
-            progress: Called with a line of text for every point.
+            name: The name of a free parameter.
+            points: The number of values at which the parameter is held, over 5 standard errors to either
+                side, or over the typical range if the parameter is not determined.
+            progress: A function that is called with a line of text for every point.
 
         Raises:
             TargetError: The parameter was not fitted.

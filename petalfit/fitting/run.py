@@ -1,4 +1,4 @@
-"""From a request to the ends of its starts."""
+"""The run of a fit: it turns a request into the ends of its starts."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ def run(family: AbstractFamily, request: Request) -> tuple[Request, list[Iterate
 
     Args:
         family: The family of the template.
-        request: What is asked for, checked but for what only the targets' numbers say.
+        request: The request, checked except for what depends on the numbers in the targets.
 
     Returns:
-        The request with the template and the names that were fitted, those of a pose among them; and the
-        end of each start, the best first, its residuals in the order of the targets.
+        The request with the template and the names that were fitted, including those of a pose; and the
+        end of each start, the best first, with residuals in the order of the targets.
 
     Raises:
         TargetError: The targets cannot be used with this model.

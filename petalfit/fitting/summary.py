@@ -1,4 +1,4 @@
-"""From the ends of a fit to its result: values and errors, a status, and warnings."""
+"""The summary of a fit: it turns the ends of the starts into values, errors, a status and warnings."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from petalfit.surfaces import AbstractSurface, Pose, value_at, with_value
 
 
 def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> FitResult:
-    """The result of a fit.
+    """Makes the result of a fit from its ends.
 
     Args:
         family: The family of the model.
-        request: What was asked for, with the names and the pose that were fitted. Its template has the
-            values for the case that the best end is not finite.
+        request: The request, with the names and the pose that were fitted. The result has the values of
+            its template if the best end is not finite.
         ends: The end of each start, the best first, with residuals in the order of the targets.
     """
     best, template = ends[0], request.template
@@ -47,14 +47,14 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
     bounds = verdict.at_bounds(values, names, declared)
     in_image = isinstance(source, Posed) and request.pose == "known"
     in_space = isinstance(source, Posed) and not in_image
-    # In a pose of its own a model need not be bent to reach its target.
+    # In a fitted pose, a parameter at its bound is no sign that the model was bent to reach its target.
     strained = not in_space and any(identifiable[n] for w in bounds for n in w.parameters)
     misfits = [verdict.misfit_of(part, strained, request.noise, in_space) for part in agreements]
     if not family.named_errors:
         misfits = []
     status, reason = verdict.ending(best, finite, misfits, family.outcome(best))
     if isinstance(best.model, Posed) and in_space:
-        # Whatever frame a start was followed in.
+        # The poses of all ends are compared in the frame of the best one.
         ends = [best, *(_seen_from(end, best.model) for end in ends[1:])]
     starts = _starts(ends, names) if names else ()
     warnings = [
@@ -110,7 +110,7 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
 
 
 def _declared(model: AbstractSurface, names: Sequence[str]) -> dict[str, Parameter]:
-    """Parameters that have a value: the component's, and what is free of a pose around it."""
+    """Declarations of the result's parameters: those of the component and the free ones of a pose."""
     declared = parameters(model)
     if isinstance(model, Posed):
         held = set(Posed.similarity) - set(names)
@@ -132,7 +132,7 @@ def _agreements(targets: Sequence[AbstractObservation], best: Iterate) -> tuple[
 
 
 def _about(part: Agreement, model: AbstractSurface, noise: float | None) -> list[FitWarning]:
-    """Warnings on one target."""
+    """Warnings about one target."""
     found = verdict.about_distances(part, noise)
     if part.uv is not None:
         found += verdict.coverage(model, part.uv, part.used)
@@ -140,13 +140,13 @@ def _about(part: Agreement, model: AbstractSurface, noise: float | None) -> list
 
 
 def _seen_from(end: Iterate, posed: Posed) -> Iterate:
-    """An end with its pose in the frame of another."""
+    """An end with its pose relative to that of another model."""
     assert isinstance(end.model, Posed)
     return dataclasses.replace(end, model=end.model.seen_from(posed))
 
 
 def _pose_unit(name: str, posed: Posed) -> float:
-    """The pose's own unit of a parameter, in the result's."""
+    """The factor from a pose's own unit of a parameter to the unit in the result."""
     return 1.0 if name.startswith("turn") else float(posed.unit)
 
 
@@ -173,7 +173,7 @@ def _relative(pose: Pose) -> FitWarning:
 def _in_pixels(
     posed: Posed, names: tuple[str, ...], values: dict[str, float], matrix: np.ndarray
 ) -> tuple[dict[str, float], np.ndarray]:
-    """Scale in pixels a unit, and where the model's origin is seen, instead of Posed's own units."""
+    """Values and covariance with scale in pixels a unit and shifts in pixels, not in `Posed`'s units."""
     placed = posed.placement
     unit = float(posed.unit)
     factors = np.array([unit if name in Posed.in_image else 1.0 for name in names])

@@ -1,4 +1,4 @@
-"""The fit of a colour pattern to a texture: candidates, of which a few are polished, and a result."""
+"""The fit of a colour pattern to a texture: a search among candidates, and a descent from the best."""
 
 from __future__ import annotations
 
@@ -36,19 +36,18 @@ from petalfit.results import (
 )
 from petalfit.surfaces import value_at
 
-# Candidates are scored on so many places, and that many of the best are followed.
-_SOME = 4096
+_SOME = 4096  # places that candidates are scored on
 _CANDIDATES = 8192
-_FOLLOWED = 12
-# Candidates closer than this are one, in standard deviations of the typical ranges.
+_FOLLOWED = 12  # candidates that are followed
+# Candidates closer than this count as one, in standard deviations of the typical ranges.
 _APART = 0.3
-# Patterns that differ by less than this part of the noise everywhere are one pattern.
+# Patterns that differ by less than this part of the noise everywhere count as one.
 _SAME = 0.05
-_EQUAL = 0.01  # in χ²
+_EQUAL = 0.01  # difference in χ² below which patterns are equally good
 _STEPS = 100
-# Beyond this part of the variance, a texture's colours are more than two mixed.
+# If more than this part of the colours' variance is off a line, they are no mixtures of two colours.
 _OFF_THE_LINE = 0.1
-# Noise beyond this part of the pattern's contrast hides it, or is none.
+# Residuals beyond this part of the pattern's contrast hide the pattern, or are a misfit and no noise.
 _MISFIT = 0.5
 _SETTLED = 0.5  # standard errors
 
@@ -59,9 +58,9 @@ class ColourFit(Estimate):
 
     Attributes:
         model: The fitted pattern.
-        texture: What it was fitted to.
+        texture: The texture that it was fitted to.
         palette: sRGB of the two colours that the pattern mixes, the ground first; None for intensities.
-        residuals: Intensity of every place less the pattern's, shape (n,).
+        residuals: Intensity of every place minus that of the pattern, shape (n,).
         noise: Standard deviation of the residuals, given or estimated.
     """
 
@@ -73,7 +72,7 @@ class ColourFit(Estimate):
 
 
 class _Data(NamedTuple):
-    """A texture as the core sees it, padded with zero weights."""
+    """A texture as the compiled functions take it, padded with zero weights."""
 
     uv: Float[Array | np.ndarray, "n 2"]
     intensity: Float[Array | np.ndarray, " n"]
@@ -99,13 +98,14 @@ def fit_colours(
     """Recover a pattern from a texture.
 
     Args:
-        template: Values of the fixed parameters; of all parameters if `from_template`.
+        template: A pattern. Parameters that are not free keep its values.
         free: Names of the parameters to fit.
-        texture: Intensities, or colours, which become intensities on the line between two.
-        palette: sRGB of these two, the ground first; by default the ends of the texture's own colours.
+        texture: Intensities, or colours, which become intensities on the line between two of them.
+        palette: sRGB of these two colours, the ground first; by default the ends of the range of the
+            texture's own colours.
         noise: Standard deviation of the intensities; estimated if None.
-        from_template: Start at the template instead of searching.
-        seed: Of the choice of places that candidates are scored on.
+        from_template: Whether to start at the template instead of searching for a start.
+        seed: The seed of the choice of places that candidates are scored on.
 
     Raises:
         TargetError: The texture is of one colour.
@@ -142,9 +142,9 @@ class _Seen(NamedTuple):
     """A texture as intensities.
 
     Attributes:
-        intensity: Shape (n,).
-        palette: sRGB of the colours at 0 and at 1; None if the texture has no colours.
-        off: How much of the colours' variance is not on the line between these, in [0, 1].
+        intensity: The intensities, shape (n,).
+        palette: sRGB of the colours at intensity 0 and 1; None if the texture has no colours.
+        off: The part of the colours' variance that is not on the line between these, in [0, 1].
     """
 
     intensity: Float[np.ndarray, " n"]
@@ -153,7 +153,7 @@ class _Seen(NamedTuple):
 
 
 def _intensities(texture: Texture, palette: np.ndarray | None) -> _Seen:
-    """The texture as intensities, between the two colours of a palette or its own."""
+    """The texture as intensities between the two colours of a palette, or between two of its own."""
     if texture.values.ndim == 1:
         return _Seen(np.asarray(texture.values), None, 0.0)
     linear = np.asarray(to_linear(texture.values))
@@ -176,7 +176,7 @@ def _intensities(texture: Texture, palette: np.ndarray | None) -> _Seen:
 
 
 def _candidates(coordinates: Coordinates, data: _Data) -> list[Float[np.ndarray, " p"]]:
-    """The best of candidates spread over the typical ranges, with I₁ and I₂ by linear regression."""
+    """The best of many candidates over the typical ranges, with I₁ and I₂ by linear regression."""
     free, places = coordinates.free, coordinates.spread(_CANDIDATES)
     cost, ground, contrast = (np.asarray(x) for x in _score(coordinates, data, places))
     values = np.array(coordinates.values(places))
@@ -198,7 +198,7 @@ def _candidates(coordinates: Coordinates, data: _Data) -> list[Float[np.ndarray,
 def _scores(
     coordinates: Coordinates, data: _Data, places: Float[Array, "m p"]
 ) -> tuple[Array, Array, Array]:
-    """Of every candidate the sum of squares that it leaves, and I₁ and I₂ of its figure."""
+    """The remaining sum of squares of every candidate, and the I₁ and I₂ that fit its figure best."""
     total = jnp.sum(data.weight)
     mean = jnp.sum(data.weight * data.intensity) / total
     y = data.intensity - mean
@@ -218,7 +218,7 @@ _score = Program(_scores)
 
 
 def _polish(coordinates: Coordinates, data: _Data, t: Float[np.ndarray, " p"]) -> Iterate:
-    """The end of a start. Its χ² is in units of a noise of 1, and so is its information."""
+    """The end of a start, with χ² and information for a noise of 1."""
     t, squares, information, moved, steps = map(np.asarray, _descend(coordinates, data, t))
     return Iterate(
         coordinates.model(t),
@@ -233,13 +233,13 @@ def _polish(coordinates: Coordinates, data: _Data, t: Float[np.ndarray, " p"]) -
 
 
 def _descent(coordinates: Coordinates, data: _Data, t: Array) -> tuple[Array, ...]:
-    """The least squares from a start, and the last Gauss-Newton step that is left there."""
+    """The minimum of the sum of squares from a start, and the Gauss-Newton step that remains there."""
     root = jnp.sqrt(data.weight)
 
     def residual(t: Array, data: _Data) -> Array:
         return root * (coordinates.model(t)(data.uv[:, 0], data.uv[:, 1]) - data.intensity)
 
-    # Residuals of order one, with the damping that Levenberg-Marquardt begins with in mind.
+    # Residuals are scaled to order one, to suit the damping that Levenberg-Marquardt begins with.
     scale = 10.0 / jnp.sqrt(jnp.sum(residual(t, data) ** 2) + 1e-300)
     solution = optx.least_squares(
         lambda t, data: scale * residual(t, data),
@@ -254,7 +254,7 @@ def _descent(coordinates: Coordinates, data: _Data, t: Array) -> tuple[Array, ..
     left = residual(t, data)
     information = slopes.T @ slopes
     step = jnp.linalg.solve(information + 1e-9 * jnp.eye(len(t)), slopes.T @ left)
-    # Noise-free textures leave nothing but rounding, in which there are no standard errors.
+    # A noise-free texture leaves rounding errors only, so that a least variance is added.
     variance = jnp.sum(left**2 + 1e-16 * data.weight) / jnp.sum(data.weight)
     moved = jnp.sqrt(step @ information @ step / (variance * len(t)) + 0.0)
     return t, jnp.sum(left**2), information, moved, solution.stats["num_steps"]
@@ -268,7 +268,8 @@ def _different(
 ) -> list[Iterate]:
     """Ends that are different patterns, the best first.
 
-    What is the same pattern by other numbers, φ + π for an even n, goes by the most typical ones.
+    Of ends that describe the same pattern by other numbers, such as φ + π for an even n, the one with the
+    most typical numbers is kept.
     """
     ends = sorted(ends, key=lambda end: end.chi2)
     total = float(np.sum(data.weight))
@@ -325,7 +326,7 @@ def _result(
     gain = (np.sum(weights * (seen.intensity - mean) ** 2) - best.chi2) / sigma**2
     nothing = bool(gain < CLEAR_LEAD + 2 * len(names))
     if nothing:
-        # What explains no more than chance would has no figure, hence no parameters of one.
+        # If the figure explains no more than chance would, there is none, and neither are its parameters.
         rest = [k for k, name in enumerate(names) if name != "i_1"]
         matrix[rest, :] = matrix[:, rest] = np.inf
         stderr = {name: error if name == "i_1" else np.inf for name, error in stderr.items()}
@@ -380,7 +381,7 @@ def _result(
 def _uncertainty(
     settled: list[Iterate], starts: tuple[Start, ...], declared: dict[str, Parameter]
 ) -> tuple[Float[np.ndarray, "p p"], dict[str, float], tuple[Start, ...]]:
-    """Covariance and errors, infinite for what rivals deny, and these rivals."""
+    """Covariance and errors, infinite for parameters in which rivals differ, and these rivals."""
     names = tuple(starts[0].values)
     matrix, _ = covariance(settled, names, declared)
     stderr = standard_errors(names, matrix)
@@ -394,7 +395,7 @@ def _uncertainty(
 
 
 def _in_units_of(sigma: float, coordinates: Coordinates, end: Iterate) -> Iterate:
-    """An end with its χ² and the information of its parameters in units of the noise."""
+    """An end with its χ², and the information of its parameters, for noise of a given σ."""
     slopes = coordinates.slopes(cast(np.ndarray, end.t))
     information = end.information / sigma**2 / np.outer(slopes, slopes)
     chi2 = end.chi2 / sigma**2

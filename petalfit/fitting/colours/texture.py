@@ -19,8 +19,8 @@ def colours_on(surface: AbstractSurface | FitRecord, cloud: PointCloud) -> Textu
     """The colours of a cloud at its foot points on a surface.
 
     Args:
-        surface: In the cloud's frame, or the result of a fit to the cloud.
-        cloud: With colours.
+        surface: A surface in the cloud's frame, or the result of a fit to the cloud.
+        cloud: A cloud with colours.
 
     Raises:
         TargetError: The cloud has no colours.

@@ -1,1 +1,1 @@
-"""What a fit is asked for."""
+"""The request that a fit answers: its options, targets and checks."""

@@ -1,4 +1,4 @@
-"""Checks of what a fit is asked for: one sentence for everything that cannot be had."""
+"""Checks of a request: each raises an error that says in one sentence what is not possible."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ POSES = ("known", "rigid", "similarity")
 
 
 def check_pose_name(pose: str) -> None:
-    """Refuses words that are no pose."""
+    """Raises an error for a word that is no pose."""
     if pose not in POSES:
         raise ValueError(f"pose must be 'known', 'rigid' or 'similarity'; received {pose!r}")
 
@@ -40,13 +40,13 @@ def valid_noise(
 
 
 def refuse(what: str, unused: Sequence[str]) -> None:
-    """Refuses options that would be dropped."""
+    """Raises an error for options that would have no effect."""
     if unused:
         raise TargetError(f"a fit of {what} does not use {' or '.join(unused)}; leave it out.")
 
 
 def check_used(family: AbstractFamily, given: Sequence[str]) -> None:
-    """Refuses options that a family's fits do not use."""
+    """Raises an error for options that the fits of a family do not use."""
     refuse(f"a {family.kind.__name__}", [name for name in given if name not in family.takes])
 
 
@@ -58,15 +58,15 @@ def check_pose(
     from_template: bool,
     posable: Sequence[str],
 ) -> None:
-    """Refuses poses that a family, its model or its targets do not go with.
+    """Raises an error for a pose that does not go with the family, the model or the targets.
 
     Args:
         family: The family of the template.
         template: The component.
-        pose: What is asked for.
+        pose: The pose that is asked for.
         targets: The observations.
         from_template: Whether the fit starts at the template.
-        posable: Names of the models that can be found in that pose.
+        posable: Names of the models that can be fitted in that pose.
     """
     kind = type(template).__name__
     masks = [target for target in targets if isinstance(target, Silhouette)]
@@ -101,7 +101,7 @@ def check_pose(
 def check_targets(
     family: AbstractFamily, template: AbstractSurface, targets: Sequence[AbstractObservation]
 ) -> None:
-    """Refuses silhouettes and joint fits of families that do not know them."""
+    """Raises an error for silhouettes and joint fits, if the family is for single clouds only."""
     if not family.sees_outlines and not (len(targets) == 1 and isinstance(targets[0], PointCloud)):
         raise TargetError(
             f"a {type(template).__name__} is fitted to one cloud; masks, or several targets, need "
@@ -115,7 +115,7 @@ def check_loss(
     loss: AbstractLoss,
     targets: Sequence[AbstractObservation],
 ) -> None:
-    """Refuses losses for targets and families in which no outliers are found."""
+    """Raises an error for a robust loss, if the targets or the family do not allow for outliers."""
     if loss.name == "linear":
         return
     if not any(isinstance(target, PointCloud) for target in targets):
@@ -130,7 +130,7 @@ def check_loss(
 
 
 def check_count(family: AbstractFamily, cloud: PointCloud, names: tuple[str, ...]) -> None:
-    """Refuses clouds of too few points."""
+    """Raises an error for a cloud of too few points."""
     count = np.count_nonzero(cloud.mass)
     if family.fewest is not None and count < family.fewest:
         raise TargetError(
@@ -145,7 +145,7 @@ def check_count(family: AbstractFamily, cloud: PointCloud, names: tuple[str, ...
 
 
 def check_frame(cloud: PointCloud, template: AbstractSurface, pose: str) -> None:
-    """Refuses clouds in a unit in which the model's ranges cannot reach the points."""
+    """Raises an error for a cloud whose unit puts its points beyond the reach of the model's ranges."""
     lengths = [p.bounds for p in parameters(template).values() if p.unit == "length"]
     if not lengths:
         return
@@ -166,7 +166,7 @@ def check_frame(cloud: PointCloud, template: AbstractSurface, pose: str) -> None
 
 
 def check_view(contour: Contour, template: AbstractSurface) -> None:
-    """Refuses cameras that do not see the model where it may be."""
+    """Raises an error for a camera that does not see the places where the model may be."""
     camera = contour.camera
     corners = np.asarray(template.mesh((5, 5)).vertices)
     if camera.is_orthographic:

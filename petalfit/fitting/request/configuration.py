@@ -1,4 +1,4 @@
-"""What is fitted: the model's template, and which of its parameters are free."""
+"""The configuration of a fit: the model's template, and the names of its free parameters."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def configuration(
         init: An instance to start from, which is then the template.
 
     Raises:
-        TypeError: The model is nothing that can be fitted.
+        TypeError: The model cannot be fitted.
         TargetError: A name is not that of a parameter, or a value is out of its range.
     """
     kind = model if inspect.isclass(model) else type(model)

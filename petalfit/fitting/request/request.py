@@ -1,4 +1,4 @@
-"""All that a fit is asked for, as one value that has been checked."""
+"""The request of a fit: everything that is asked for, in one checked value."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from petalfit.surfaces import AbstractSurface
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Request:
-    """All that a fit is asked for.
+    """Everything that a fit is asked for.
 
     Attributes:
         template: A component. Parameters that are not free keep its values.
-        free: Names of the free parameters; those of a fitted pose among them, once it is known.
+        free: Names of the free parameters; once `run` has chosen a pose, they include those of the pose.
         targets: The observations, which are fitted jointly.
         pose: "known", "rigid" or "similarity".
-        loss: How points that may not belong to the surface are treated.
-        noise: σ of the clouds; None to estimate it.
+        loss: The loss, which treats points that may not belong to the surface.
+        noise: σ of the clouds' noise; None to estimate it.
         from_template: Whether to start at the template instead of searching for a start.
         seed: The seed of random choices.
-        placed: Of a mask without a camera, the scale and the shifts to start from, in pixels.
-        ends_only: Whether to leave out what silhouettes need besides the solution: the correction of
-            its bias, and its errors.
+        placed: For a mask without a camera, the scale and the shifts to start from, in pixels.
+        ends_only: Whether to leave out the correction of the bias and the errors, which take long for
+            silhouettes.
     """
 
     template: AbstractSurface
@@ -46,7 +46,7 @@ class Request:
 
     @property
     def cloud(self) -> PointCloud:
-        """The only target, a cloud."""
+        """The only target, which must be a cloud."""
         (cloud,) = self.targets
         assert isinstance(cloud, PointCloud)
         return cloud
@@ -61,13 +61,13 @@ def scan_of(request: Request, frame: NormalisedFrame, shuffled: bool) -> tuple[S
     """The points of a request's cloud that have a weight, in a frame.
 
     Args:
-        request: Its only target is a cloud.
+        request: A request whose only target is a cloud.
         frame: The frame.
         shuffled: Whether to bring the points into a random order, in which any first part is a fair
-            choice; else they stay as they came.
+            sample; else they keep their order.
 
     Returns:
-        The scan, and the number of each of its points among those that have a weight.
+        The scan, and the index of each of its points among those that have a weight.
     """
     cloud = request.cloud
     used = cloud.mass > 0

@@ -1,4 +1,4 @@
-"""Targets: anything that can be made an observation, or a list of these."""
+"""Targets: everything that can be turned into an observation, or into a list of observations."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from petalfit.observations import (
 
 
 def as_targets(target: object, camera: Camera | None) -> list[AbstractObservation]:
-    """Every target as an observation, in which nothing is repeated.
+    """Turns targets into observations without repeated points.
 
     Args:
         target: A cloud, a mask, or a list of these; see `petalfit.fit`.
         camera: The camera of masks that are arrays or files.
 
     Raises:
-        TargetError: A target cannot be used, or the camera is not.
+        TargetError: A target cannot be used, or no target needs the camera.
     """
     parts = target if isinstance(target, list | tuple) and _is_list_of_targets(target) else [target]
     observations = [_as_target(part, camera).each_once() for part in parts]
@@ -38,14 +38,15 @@ def as_targets(target: object, camera: Camera | None) -> list[AbstractObservatio
 def with_noise_of_points(
     targets: list[AbstractObservation], noise: float | Float[np.ndarray, " n"] | None
 ) -> tuple[list[AbstractObservation], float | None]:
-    """The targets with weights that say how precise their points are, and the noise of weight 1.
+    """The targets with weights for the precision of their points, and the noise of a point of weight 1.
 
     Args:
-        targets: One cloud; anything if there is one noise.
-        noise: Standard deviation of every point, positive, shape (n,); or one, which is returned.
+        targets: A single cloud, if `noise` is an array; else any targets.
+        noise: Standard deviations of all points, positive, shape (n,); or one number or None, which is
+            returned as it is.
 
     Raises:
-        TargetError: There is more, or the noise is not that of its points.
+        TargetError: There are other targets than one cloud, or `noise` does not have one value a point.
     """
     if not isinstance(noise, np.ndarray):
         return targets, noise
@@ -61,7 +62,7 @@ def with_noise_of_points(
 
 
 def _is_list_of_targets(target: list | tuple) -> bool:
-    """Rather than rows of coordinates or of pixels."""
+    """Whether a list holds targets, and not rows of coordinates or of pixels."""
     kinds = (AbstractObservation, str, os.PathLike)
     return any(
         isinstance(part, kinds) or hasattr(part, "vertices") or np.ndim(part) == 2
@@ -84,7 +85,7 @@ def _as_target(target: object, camera: Camera | None) -> AbstractObservation:
 
 
 def _looks_like_a_mask(array: np.ndarray, camera: Camera | None) -> bool:
-    """(N, 3) is a cloud, other matrices are masks, and so are pictures, which the mask refuses."""
+    """Whether an array is a mask, not a cloud of shape (N, 3). Pictures count; the mask refuses them."""
     if array.ndim == 3:
         return True
     return array.ndim == 2 and (array.dtype == bool or camera is not None or min(array.shape) > 8)

@@ -1,1 +1,1 @@
-"""Joint fits, of silhouettes above all."""
+"""Joint fits of several observations, above all of silhouettes."""

@@ -17,10 +17,10 @@ from petalfit.fitting.solver.observer import report
 from petalfit.observations import Contour
 from petalfit.surfaces import AbstractSurface
 
-# Of a petal, in the model's unit, for a mask without a camera.
+# Typical length of a petal in the model's unit, for a mask without a camera.
 _TYPICAL_LENGTH = 40.0
-# Directions that a component in an unknown pose before cameras is followed from, until one follows its
-# contours as closely as this.
+# Number of directions from which a component in an unknown pose before cameras is fitted, and the noise
+# of contour distances, in pixels, below which no further direction is tried.
 _FRAMES, _RIGHT_PIXELS = 3, 0.5
 
 
@@ -31,11 +31,11 @@ def fit_views_anywhere(
 
     Args:
         family: The family of the template.
-        request: All that is asked for; the names of its pose are free.
+        request: The request; the parameters of its pose are free.
         contours: The contours of the masks.
 
     Returns:
-        The ends of all directions that were followed, the best first.
+        The ends for all directions that were tried, the best first.
     """
     frames = view_frames(family, request.template, request.free, contours, _FRAMES)
     ends: list[Iterate] = []
@@ -60,7 +60,7 @@ def in_image(template: AbstractSurface, contour: Contour, placed: Mapping[str, f
     middle, unit = 0.5 * (low + high), float(high[1] - low[1]) / _TYPICAL_LENGTH
     return Posed(
         template,
-        # From the petal's axes to the image's: x right, y down, z away from the viewer.
+        # This turns the petal's axes to those of the image: x right, y down, z away from the viewer.
         np.diag([1.0, -1.0, -1.0]),
         np.append(middle, 0.0),
         unit,

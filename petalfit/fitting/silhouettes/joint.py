@@ -1,4 +1,4 @@
-"""Joint fits: silhouettes, clouds, and whatever else is observed, in one likelihood."""
+"""Joint fits: silhouettes, clouds and other observations in one likelihood."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from petalfit.observations import PointCloud, TargetError
 from petalfit.surfaces import AbstractSurface, value_at
 
 _CANDIDATES = 20
-# A candidate that follows the contours as closely as this is right; others need not be looked at.
+# A candidate with a misfit below this is right, and no further one is tried.
 _RIGHT = 0.03
 _FOLLOWED = 3
 _ROUNDS = 20
 _TOLERANCE = 2e-2
-# How many scales are tried for a mask without a camera.
+# Number of scales that are tried for a mask without a camera.
 _SCALES = 25
-# Coordinates closer than this are one outline.
+# Two outlines count as the same if no coordinate differs by more than this.
 _SAME = 0.3
 
 Start = tuple[str, AbstractSurface]
@@ -44,12 +44,12 @@ Start = tuple[str, AbstractSurface]
 
 @dataclasses.dataclass(frozen=True)
 class Joint:
-    """All observations of one fit, and how a start is followed.
+    """A joint fit: all observations, and methods that solve for them from a start.
 
     Attributes:
         family: The family of the model.
-        coordinates: Free parameters.
-        parts: The observations as a solver needs them, each with the numbers of its targets.
+        coordinates: The free parameters.
+        parts: The likelihoods of the observations, each with the indices of its targets.
     """
 
     family: AbstractFamily
@@ -58,7 +58,7 @@ class Joint:
 
     @property
     def observed(self) -> list[AbstractObserved]:
-        """All observations, without their numbers."""
+        """The likelihoods of all observations, without the indices."""
         return [part.observed for part in self.parts]
 
     @property
@@ -79,16 +79,16 @@ class Joint:
         tolerance: float = _TOLERANCE,
         prior: Prior | None = None,
     ) -> Iterate:
-        """Rounds of the solver, before each of which everything is matched again."""
+        """Minimises the cost from a model; everything is matched again before each round."""
         terms = [None] * len(self.parts)
         return minimise(coordinates, self.observed, model, terms, rounds, tolerance, prior, every=1)
 
     def misfit(self, model: AbstractSurface) -> float:
-        """Logarithms of squared distances, small where a model follows; starts are chosen by it."""
+        """The sum of all misfits, by which starts are chosen; small if a model follows the targets."""
         return sum(part.misfit(model) for part in self.observed)
 
     def follow(self, label: str, model: AbstractSurface, held: tuple[str, ...] = ()) -> _Followed:
-        """The end of a start, with some parameters held."""
+        """Solves from a start, with some parameters held."""
         report(f"polishing from {label}")
         with stage("polishing"):
             end = self.minimise(self.coordinates.holding(held).around(model), model)
@@ -97,7 +97,7 @@ class Joint:
 
 @dataclasses.dataclass(frozen=True)
 class _Followed:
-    """An end of a joint fit: as the solver left it, as it is evaluated, and what was held."""
+    """An end of a joint fit: as the solver left it, with its evaluation, and the names that were held."""
 
     left: Iterate
     end: Iterate
@@ -107,13 +107,14 @@ class _Followed:
 def fit_joint(family: AbstractFamily, request: Request) -> list[Iterate]:
     """Fit a component to several observations, or to silhouettes, in its own frame.
 
+    Call it inside `jax.enable_x64(True)`.
+
     Args:
         family: The family of the template.
-        request: All that is asked for, with what is free of a pose around the template.
+        request: The request; its free names include those of a pose around the template.
 
     Returns:
-        The end of each start, the best first, its residuals in the order of the targets. Call it inside
-        `jax.enable_x64(True)`.
+        The end of each start, the best first, with residuals in the order of the targets.
     """
     coordinates, free = Coordinates.of(request.template, request.free), request.free
     parts = observe(request)
@@ -129,7 +130,7 @@ def fit_joint(family: AbstractFamily, request: Request) -> list[Iterate]:
 
     def finished(end: Iterate, prior: Prior | None = None) -> Iterate:
         known = Prior.none(len(free)) if prior is None else prior
-        # What was held stays where it is.
+        # Held parameters do not move: their prior is very narrow.
         root = np.where(np.isin(free, best.held), 1e6, known.root)
         around, label = coordinates.around(end.model), best.end.label
         return without_bias(around, label, joint.observed, end, Prior(known.centre, root))
@@ -156,7 +157,7 @@ def _in_order(end: Iterate, parts: Sequence[Part]) -> Iterate:
 
 
 def _from_clouds(joint: Joint, request: Request) -> Iterator[_Followed]:
-    """Ends that begin where a fit of the clouds alone does."""
+    """Ends from starts that a fit to the clouds alone gives."""
     clouds = [target for target in request.targets if isinstance(target, PointCloud)]
     count = sum(np.count_nonzero(cloud.mass) for cloud in clouds)
     if count < len(request.free) + 1:
@@ -174,7 +175,7 @@ def _from_clouds(joint: Joint, request: Request) -> Iterator[_Followed]:
 
 
 def _from_outlines(joint: Joint) -> Iterator[_Followed]:
-    """Ends of rough starts that follow the silhouettes, and of the finer ones beside them."""
+    """Ends of rough starts that follow the silhouettes, and of refined ones that are made from them."""
     if joint.views is None:
         return
     rough = joint.family.rough(joint.coordinates)
@@ -187,7 +188,7 @@ def _from_outlines(joint: Joint) -> Iterator[_Followed]:
 
 
 def _outlined(joint: Joint, views: ObservedViews, rough: Coordinates) -> Iterator[Start]:
-    """Surfaces that follow the silhouettes, different ones, the best first."""
+    """Different surfaces that follow the silhouettes, with their labels, the best first."""
     report("searching the outline")
     shadows = [Shadow.of(view.contour) for view in views.views]
     found: list[tuple[float, AbstractSurface]] = []
@@ -212,7 +213,7 @@ def _outlined(joint: Joint, views: ObservedViews, rough: Coordinates) -> Iterato
 
 
 def _rescaled(joint: Joint, rough: Coordinates, model: Posed) -> list[AbstractSurface]:
-    """The same outline at other scales, which only lengths that the model fixes tell apart."""
+    """Models with nearly the same outline at other scales; only lengths that are fixed differ then."""
     lengths = [name for name in sizes(model) if name in rough.free]
     found: list[tuple[float, AbstractSurface]] = []
     for factor in np.geomspace(0.4, 2.5, _SCALES):

@@ -1,4 +1,4 @@
-"""From observations to likelihoods: for each kind of observation, what a solver compares a model with."""
+"""The likelihoods of observations: for each kind, a function that makes them."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from petalfit.observations import AbstractObservation, Contour, PointCloud, Silh
 
 
 class Part(NamedTuple):
-    """Observations that are compared with a model together.
+    """Observations that share one likelihood.
 
     Attributes:
-        observed: Their likelihood.
-        numbers: Their numbers among the targets.
+        observed: The likelihood.
+        numbers: Indices of the observations among the targets.
     """
 
     observed: AbstractObserved
@@ -34,7 +34,7 @@ Maker = Callable[
 def _clouds(
     clouds: Sequence[AbstractObservation], request: Request, rng: np.random.Generator
 ) -> list[AbstractObserved]:
-    """Each cloud by itself, with its own noise, and its own outliers if the loss finds any."""
+    """One likelihood for each cloud, with its own noise, and its own outliers if the loss finds any."""
     made: list[AbstractObserved] = []
     for cloud in clouds:
         assert isinstance(cloud, PointCloud)
@@ -47,12 +47,12 @@ def _clouds(
 def _silhouettes(
     masks: Sequence[AbstractObservation], request: Request, rng: np.random.Generator
 ) -> list[AbstractObserved]:
-    """All silhouettes together, so that their number changes no program but its size."""
+    """One likelihood for all silhouettes, so that one program serves any number of them."""
     del request, rng
     return [ObservedViews.of([Contour.of(x) for x in masks if isinstance(x, Silhouette)])]
 
 
-# One line for each kind. A maker gives one likelihood for each observation, or one for all of them.
+# One line for each kind of observation. A maker returns one likelihood for each, or one for all of them.
 MAKERS: dict[type[AbstractObservation], Maker] = {
     PointCloud: _clouds,
     Silhouette: _silhouettes,
@@ -63,7 +63,7 @@ def observe(request: Request) -> tuple[Part, ...]:
     """The likelihoods of all targets, kind by kind.
 
     Raises:
-        TargetError: There is a target of a kind that no likelihood is known for.
+        TargetError: No likelihood is known for a kind of target.
     """
     rng = np.random.default_rng(request.seed)
     parts: list[Part] = []

@@ -1,4 +1,4 @@
-"""Poses in which silhouettes may show a component: its place by triangulation, and all turns."""
+"""Starts for the pose of a component in silhouettes: its place by triangulation, in all directions."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ def view_frames(
     contours: Sequence[Contour],
     most: int,
 ) -> list[Posed]:
-    """The component in frames from which its pose is a small turn and shift away, the likeliest first.
+    """The component in frames that differ from its pose by a small turn and shift, the likeliest first.
 
     Args:
         family: The family of the component.
         template: The component.
-        names: All that is free, the pose included.
+        names: Names of all free parameters, including those of the pose.
         contours: The contours of its masks, each with its camera.
-        most: How many frames to return.
+        most: The largest number of frames to return.
     """
     shadows = [Shadow.of(contour) for contour in contours]
     centre = middle(shadows)
@@ -62,7 +62,10 @@ def view_frames(
 
 
 def middle(shadows: Sequence[Shadow]) -> Float[np.ndarray, "3"]:
-    """The place that is seen nearest to the middle of every silhouette, and to the world's origin."""
+    """The place that cameras see nearest to the middles of all silhouettes.
+
+    If several places do, it is the one nearest to the world's origin.
+    """
     rows, right = [], []
     for shadow in shadows:
         centre = 0.5 * (shadow.place.min(axis=0) + shadow.place.max(axis=0))
@@ -84,4 +87,4 @@ def _quarter_turns() -> list[Float[np.ndarray, "3 3"]]:
 
 
 _TURNS = _quarter_turns()
-_LOOKED_AT = 8  # directions that contours are compared in
+_LOOKED_AT = 8  # number of directions, the best by support functions, in which contours are matched

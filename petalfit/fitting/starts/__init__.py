@@ -1,1 +1,1 @@
-"""Starts that any family may use."""
+"""Methods that find starts, for use by any family."""

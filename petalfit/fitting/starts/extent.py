@@ -16,7 +16,7 @@ from petalfit.surfaces import AbstractSurface
 _FLAT = np.array([[0.0, 0.0, 0.0, 1.0]])  # the last row of an orthographic camera
 _CANDIDATES = 12
 _FOLLOWED = 2
-_SAME = 0.3  # coordinates closer than this are one start
+_SAME = 0.3  # two starts count as the same if no coordinate differs by more
 
 
 def extent_starts(
@@ -28,16 +28,16 @@ def extent_starts(
     """Starts of any component, which reach as far as the points in all directions.
 
     Args:
-        coordinates: Free parameters.
-        observe: Makes the likelihood of points with weights and a noise.
-        points: Some of the points.
-        weights: How many observations each counts for.
+        coordinates: The free parameters.
+        observe: A function that makes the likelihood of points, given their weights and noise.
+        points: Some points of the cloud, shape (n, 3).
+        weights: The number of observations that each point counts for, shape (n,).
 
     Returns:
         Different starts with their labels, the best first.
     """
     report("searching the extent")
-    # Three views along the axes know how far a body reaches in space.
+    # Three views along the axes show how far a body reaches in space.
     shadows = [
         Shadow(np.vstack([np.hstack([np.delete(np.eye(3), k, 0), np.zeros((2, 1))]), _FLAT]),
                np.delete(points, k, 1), weights)

@@ -1,4 +1,4 @@
-"""A sheet laid flat: distances along it become distances in the plane, however it is bent and posed."""
+"""Flattening of a surface: distances along it become distances in a plane, however it is bent."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from scipy.spatial import KDTree
 
 _NEIGHBOURS = 10
 _LANDMARKS = 150
-_TEAR = 1.5  # how much farther apart the two sides of a tear may be than where they are nearest
+_TEAR = 1.5  # widest gap of a tear that is bridged, in units of its narrowest gap
 
 
 def flatten(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2"]:
-    """Landmark Isomap (de Silva and Tenenbaum, 2002): the plane's distances are the sheet's own.
+    """Flattens points of a surface by Landmark Isomap (de Silva and Tenenbaum, 2002).
 
-    Shortest paths through a graph of neighbours stand for distances along the sheet, and classical
-    scaling of those between landmarks gives the plane.
+    Distances along the surface are approximated by shortest paths through a graph of neighbours.
+    Classical scaling of the distances between landmarks gives places in the plane.
 
     Args:
-        points: Of one sheet, at least 12.
+        points: Points of one surface, at least 12.
 
     Returns:
-        Centred places; the first axis is the longer one.
+        Places in the plane, centred, with the first axis along the longer side.
     """
     graph = _neighbours(points)
     landmarks = _spread(points, min(_LANDMARKS, len(points)))
@@ -39,7 +39,7 @@ def flatten(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2"]:
 
 
 def _neighbours(points: Float[np.ndarray, "n 3"]) -> csr_array:
-    """Edges to the nearest points, and the shortest ones that join what these leave apart."""
+    """The graph of nearest neighbours, with short edges added until all its pieces are joined."""
     n = len(points)
     gaps, others = map(np.asarray, KDTree(points).query(points, min(_NEIGHBOURS, n - 1) + 1))
     rows = np.repeat(np.arange(n), gaps.shape[1] - 1)
@@ -51,14 +51,14 @@ def _neighbours(points: Float[np.ndarray, "n 3"]) -> csr_array:
         small = np.argmin(np.bincount(label))
         inside, outside = np.flatnonzero(label == small), np.flatnonzero(label != small)
         gap, nearest = map(np.asarray, KDTree(points[outside]).query(points[inside]))
-        # All along the tear: paths over a single bridge would be detours.
+        # Edges are added all along a tear, because paths over a single bridge would be detours.
         k = np.flatnonzero(gap <= _TEAR * gap.min())
         bridge = coo_array((gap[k], (inside[k], outside[nearest[k]])), (n, n))
         graph = csr_array(graph + bridge)
 
 
 def _spread(points: Float[np.ndarray, "n 3"], count: int) -> list[int]:
-    """Farthest points of farthest points, from the one farthest from the middle."""
+    """Indices of points far apart: each is the farthest from those before; the first from the middle."""
     chosen = [int(np.argmax(np.linalg.norm(points - points.mean(axis=0), axis=1)))]
     gaps = np.linalg.norm(points - points[chosen[0]], axis=1)
     while len(chosen) < count:

@@ -1,4 +1,4 @@
-"""The normalised frame of a cloud, in which it is fitted: results do not depend on the given frame."""
+"""The normalised frame in which a cloud is fitted, so that results do not depend on the given one."""
 
 from __future__ import annotations
 
@@ -11,20 +11,21 @@ from petalfit.components import Posed
 from petalfit.fitting.coordinates import in_doubles
 from petalfit.fitting.likelihood.observed import Residuals
 
-# Of the extent, which no instrument tells apart. A cloud that comes turned or in another unit differs by
-# the last bits of float64; with these cut off its fit takes the same steps, bit by bit.
+# Points are rounded to this grain, relative to the extent; no instrument is so precise. If a cloud is
+# given turned or in another unit, its points differ by the last bits of float64. With these cut off, the
+# fit takes the same steps, bit by bit.
 _GRAIN = 2.0**-30
 
 
 @dataclasses.dataclass(frozen=True)
 class NormalisedFrame:
-    """The middle, the principal axes and the extent of a cloud as its frame.
+    """A frame given by the middle, the principal axes and the extent of a cloud.
 
     Attributes:
-        axes: Its axes in the target's frame, as columns.
-        centre: Its origin there.
-        unit: Its unit of length there.
-        exact: Whether points keep their last bits.
+        axes: Axes of this frame in the target's frame, as columns, shape (3, 3).
+        centre: Origin of this frame in the target's frame, shape (3,).
+        unit: Unit of length of this frame, in the target's unit.
+        exact: Whether points are not rounded.
     """
 
     axes: Float[np.ndarray, "3 3"]
@@ -34,20 +35,21 @@ class NormalisedFrame:
 
     @classmethod
     def of(cls, points: Float[np.ndarray, "n 3"], pose: str) -> NormalisedFrame:
-        """The frame of a cloud; where the pose is known it is the target's own."""
+        """The frame of a cloud; if the pose is known it is the target's own."""
         if pose == "known":
             return cls(np.eye(3), np.zeros(3), 1.0, exact=True)
         centre = points.mean(axis=0)
         centred = points - centre
         _, axes = np.linalg.eigh(centred.T @ centred)
-        # The heavier tail of every axis points along it; the last one makes them right-handed.
+        # Each axis points to the heavier tail of the points along it; then the first one is turned, if
+        # need be, to make the axes right-handed.
         axes = axes * np.where(np.sum((centred @ axes) ** 3, axis=0) < 0, -1.0, 1.0)
         axes[:, 0] *= np.sign(np.linalg.det(axes))
         extent = float(np.sqrt(np.mean(np.sum(centred**2, axis=1))))
         return cls(axes, centre, extent if pose == "similarity" else 1.0, exact=False)
 
     def into(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-        """Points of the target, in this frame."""
+        """Transforms points of the target into this frame, and rounds them unless `exact`."""
         own = (points - self.centre) @ self.axes / self.unit
         if self.exact:
             return own
@@ -55,7 +57,7 @@ class NormalisedFrame:
         return np.round(own / grain) * grain
 
     def back(self, posed: Posed) -> Posed:
-        """A component posed in this frame, in the target's; its turns and shifts are zero there."""
+        """Transforms a posed component to the target's frame; its turns and shifts become zero."""
         placed = posed.placement
         place = self.unit * self.axes @ placed.translation + self.centre
         scale = self.unit * float(placed.scale)
@@ -67,10 +69,10 @@ class NormalisedFrame:
         )
 
     def measured(self, seen: Residuals) -> Residuals:
-        """Residuals in this frame, in the target's unit."""
+        """Converts residuals from this frame's unit to the target's unit."""
         return seen._replace(distance=self.unit * seen.distance, noise=self.unit * seen.noise)
 
     def order(self, points: Float[np.ndarray, "n 3"], seed: int) -> np.ndarray:
-        """A random order that depends on where points are, and not on the order that they came in."""
+        """A random order of points that depends on their positions, not on the order they came in."""
         far = np.linalg.norm(points - points.mean(axis=0), axis=1)
         return np.argsort(far, kind="stable")[np.random.default_rng(seed).permutation(len(points))]

@@ -1,8 +1,8 @@
 """Starts by support functions: candidates that reach as far as the target in all directions.
 
-The support function, how far a shape reaches in every direction, needs no matching: it is the largest
-projection of the surface's own places, folds and all. Evenly spread candidates are scored by it, the
-best are improved on it by a few damped Gauss-Newton steps, and those that remain differ.
+The support function says how far a shape reaches in every direction. It needs no matching: it is the
+largest projection of all places of the surface, folds included. Evenly spread candidates are scored by
+it, the best are improved by a few damped Gauss-Newton steps on it, and of similar ones the best is kept.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ _GLANCED, _GLANCED_IMPROVED = 256, 32
 _STEPS = 8
 _DIRECTIONS = 48
 _NODES = 17  # per side of the domain
-_DIFFERENT = 0.3  # in units of the typical ranges' standard deviations
-_TOLERANCE = 0.01  # of the contour's size
-_PRIOR = 0.05  # what keeps parameters of no influence where they are
+_DIFFERENT = 0.3  # least difference of two candidates, in standard deviations of the typical ranges
+_TOLERANCE = 0.01  # unit of differences in support, relative to the contour's size
+_PRIOR = 0.05  # weight of the prior, which keeps parameters of no influence in place
 
 
 class Shadow(NamedTuple):
-    """Places in an image, of which a support function is taken.
+    """Places in an image, whose support function candidates should have.
 
     Attributes:
         matrix: The matrix of the camera, shape (3, 4).
         place: The places in the image, shape (n, 2).
-        weight: 0 where something is cut off, shape (n,).
+        weight: Weight of each place, shape (n,); 0 where the contour is cut off.
     """
 
     matrix: Float[np.ndarray, "3 4"]
@@ -47,7 +47,7 @@ class Shadow(NamedTuple):
 
     @classmethod
     def of(cls, contour: Contour) -> Shadow:
-        """The shadow that a contour surrounds."""
+        """The shadow inside a contour."""
         return cls(contour.camera.matrix, contour.place, contour.length)
 
     @property
@@ -60,8 +60,8 @@ class Candidate(NamedTuple):
     """A surface that may have cast the shadows.
 
     Attributes:
-        t: Its coordinates.
-        score: How far its support functions are from those of the shadows; 0 at the best.
+        t: Coordinates of the surface, shape (p,).
+        score: Distance of its support functions from those of the shadows; 0 is best.
     """
 
     t: Float[np.ndarray, " p"]
@@ -75,9 +75,9 @@ def search(
 
     Args:
         coordinates: The free parameters; those that are held keep the template's values.
-        shadows: All that was seen, from one direction each.
-        most: How many to return at the most.
-        thorough: Look at many; at an eighth as many for a first glance.
+        shadows: The shadows that were observed, each from one direction.
+        most: The largest number of candidates to return.
+        thorough: Whether to try all candidates; else an eighth as many, and improve a quarter as many.
     """
     candidates, improving = (_CANDIDATES, _IMPROVED) if thorough else (_GLANCED, _GLANCED_IMPROVED)
     angle = 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
@@ -88,7 +88,7 @@ def search(
     for k, shadow in enumerate(shadows):
         along = shadow.place @ directions.T
         reach[k] = np.max(along, axis=0)
-        # Where the contour is cut off, the petal reaches at least as far: more is no fault.
+        # Where the contour is cut off, the petal reaches at least so far: reaching farther costs nothing.
         known[k] = shadow.weight[np.argmax(along, axis=0)] > 0
     places = coordinates.spread(candidates)
     found = np.asarray(_supports(coordinates, places, matrices, directions), np.float64)
@@ -115,7 +115,7 @@ _GRID = np.stack(np.meshgrid(_FRACTION, _FRACTION, indexing="ij"), axis=-1).resh
 def _supports_of(
     coordinates: Coordinates, t: Array, matrices: Array, directions: Array
 ) -> tuple[Array, Array, Array]:
-    """Nodes' (u, v), and for each view homogeneous places in the image and projections."""
+    """(u, v) of nodes, and for each view their homogeneous places in the image and projections."""
     model = coordinates.model(t)
     low, high = (jnp.asarray(side, t.dtype) for side in zip(*model.domain, strict=True))
     uv = low + (high - low) * jnp.asarray(_GRID, t.dtype)
@@ -138,7 +138,7 @@ def _view_supports(
 
 
 def _single(tree: T) -> T:
-    """In single precision: for a start, digits enough, in half the time."""
+    """Converts to single precision, which is enough for a start and takes half the time."""
     return jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), tree)
 
 
