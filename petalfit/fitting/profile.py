@@ -67,7 +67,7 @@ def profile_of(
             request = Request(
                 template=model,
                 free=rest,
-                targets=tuple(part.target for part in result.agreements),
+                targets=tuple(part.target.counting(part.weights) for part in result.agreements),
                 from_template=True,
                 placed=result.values if result.in_image else {},
                 ends_only=True,

@@ -74,6 +74,11 @@ class AbstractObservation(abc.ABC):
         """The same without data that repeat others, which are no observations more."""
         return self
 
+    def counting(self, weights: Float64[np.ndarray, " n"]) -> AbstractObservation:
+        """The same with the weights that its data had at the end of a fit, if they may have changed."""
+        del weights
+        return self
+
     def content(self) -> Iterator[bytes]:
         """The numbers that a fit looks at, for a digest: the same for the same data."""
         head, arrays = self.arrays()

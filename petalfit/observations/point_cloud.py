@@ -133,9 +133,13 @@ class PointCloud(AbstractObservation):
         once[first] = 1.0
         return self.weighted(once)
 
+    def counting(self, weights: Float64[np.ndarray, " n"]) -> "PointCloud":
+        """The cloud with other weights."""
+        return PointCloud(self.points, self.normals, weights, self.colours)
+
     def weighted(self, factor: Float64[np.ndarray, " n"]) -> "PointCloud":
         """The cloud with its weights multiplied by a factor for each point."""
-        return PointCloud(self.points, self.normals, self.mass * factor, self.colours)
+        return self.counting(self.mass * factor)
 
     def arrays(self) -> tuple[dict[str, Any], list[Float64[np.ndarray, "..."] | None]]:
         return {"camera": None}, [self.points, self.weights]

@@ -1,4 +1,4 @@
-"""Everything that a fit.json holds: values and errors, warnings, and the data beside the surface."""
+"""Everything that a fit.json holds: values, errors, warnings, and the data with their residuals."""
 
 from petalfit.results.agreement import Agreement as Agreement
 from petalfit.results.estimate import APART as APART

@@ -1,4 +1,4 @@
-"""One observation beside the fitted surface: distances, weights, noise."""
+"""The agreement of one observation with the fitted surface: distances, weights, noise."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from petalfit.surfaces import Domain
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Agreement:
-    """One target beside the fitted surface.
+    """The agreement of one target with the fitted surface.
 
     Attributes:
         target: The observation that was fitted.
-        distances: Signed distances of its data, shape (n,). Of a cloud, the normal distance of every
-            point (+ on the side of the normal), or its distance to the edge where it lies beyond, in
-            the target's unit. Of a silhouette, the distance of every place of its contour to the
+        distances: Signed distances of its data, shape (n,). For a cloud, the normal distance of every
+            point (+ on the side of the normal), or its distance from the edge if it lies beyond, in
+            the target's unit. For a silhouette, the distance of every place of its contour from the
             model's outline (+ outside of it), in pixels.
         weights: The weight that every datum had in the fit, shape (n,).
         noise: Standard deviation of the distances, given or estimated, in their unit.
@@ -35,12 +35,12 @@ class Agreement:
 
     @property
     def used(self) -> Bool[np.ndarray, " n"]:
-        """Whether each datum counts: it has a weight, and kept at least half of it in the fit."""
+        """Whether each datum counts: it had a weight, and kept at least half of it in the fit."""
         return self.target.used(self.weights)
 
     @property
     def outliers(self) -> int:
-        """How many data had a weight and were taken for outliers."""
+        """The number of data that had a weight and were taken for outliers."""
         return self.target.outliers(self.weights)
 
     @property
@@ -50,7 +50,7 @@ class Agreement:
         return float(np.sqrt(squares)) if np.isfinite(squares) else float("inf")
 
     def misfit(self, domain: Domain) -> MisfitMap | None:
-        """The mean distances over a surface of that domain; None if foot points are not known."""
+        """The map of mean distances over the domain of the surface; None if there are no foot points."""
         if self.uv is None:
             return None
         weights = np.where(self.used, self.weights, 0.0)

@@ -1,4 +1,4 @@
-"""Numbers in JSON, lossless: arrays as lists, and infinities as strings."""
+"""Lossless encoding of values in JSON: arrays become lists, and infinities become strings."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _NOT_FINITE = {"inf": np.inf, "-inf": -np.inf, "nan": np.nan}
 
 
 def encode(value: Any) -> Any:
-    """A value as JSON holds it; infinities and NaN, which JSON does not have, become strings."""
+    """Encodes a value for JSON; infinities and NaN, which JSON does not have, become strings."""
     if isinstance(value, dict):
         return {key: encode(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):
@@ -23,7 +23,7 @@ def encode(value: Any) -> Any:
 
 
 def decode(value: Any) -> Any:
-    """The value that `encode` made of it, but for the types of sequences."""
+    """Decodes what `encode` returned; sequences come back as lists."""
     if isinstance(value, dict):
         return {key: decode(item) for key, item in value.items()}
     if isinstance(value, list):

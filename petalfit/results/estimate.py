@@ -1,4 +1,4 @@
-"""What every fit returns: values, how sure they are, and which of them the data do not determine."""
+"""The result of any fit: values, their errors, and which of them the data do not determine."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from petalfit.components import Parameter, parameters
 from petalfit.results.status import Status
 from petalfit.results.warning import FitWarning
 
-# A rival whose χ² is worse by less than this is one. By chance alone, the best of the some 200
+# An end is a rival if its χ² is worse by less than this. By chance alone, the best of the about 200
 # frequencies that ribs could have leads by 2 log 200.
 CLEAR_LEAD = 20.0
-# Standard errors between two ends from which they are different.
+# Two ends are different if a parameter differs by at least this many standard errors.
 APART = 3.0
 
 
 @dataclasses.dataclass(frozen=True)
 class Start:
-    """A start that was tried: what it was, what it reached, and how far it is from the best.
+    """A start that was tried, and the end that it reached.
 
     Attributes:
-        label: What distinguishes it, "rib_frequency 19.8" for instance.
-        values: The free parameters that it reached.
-        rms: Root mean square distance that it reached, in the target's unit.
-        delta_chi2: How much worse its χ² is than the best one's; 0 for the best.
+        label: A name that distinguishes the start, such as "rib_frequency 19.8".
+        values: Values of the free parameters at its end.
+        rms: Root mean square distance at its end, in the target's unit.
+        delta_chi2: Difference of its χ² from that of the best end; 0 for the best.
     """
 
     label: str
@@ -43,8 +43,8 @@ def rivals(
 ) -> tuple[Start, ...]:
     """The starts that ended almost as well as the first, and elsewhere.
 
-    "Elsewhere" is three standard errors away in a parameter that is determined, or a part of the typical
-    range away in one that is not.
+    "Elsewhere" means at least three standard errors away in a parameter that is determined, or a part of
+    the typical range away in one that is not.
     """
 
     def apart(start: Start, name: str) -> float:
@@ -63,7 +63,7 @@ def rivals(
 def standard_errors(
     names: Sequence[str], covariance: Float64[np.ndarray, "p p"]
 ) -> dict[str, float]:
-    """Standard errors by name; infinite where the covariance is."""
+    """Standard errors by name; infinite for parameters whose covariance is."""
     return dict(zip(names, map(float, np.sqrt(np.diag(covariance))), strict=True))
 
 
@@ -72,21 +72,22 @@ class Estimate:
     """The outcome of a fit.
 
     Attributes:
-        model: What was fitted.
-        values: Every parameter of the model by name, fixed ones included.
-        stderr: Standard errors of the free parameters; `inf` where the data do not determine them.
-        identifiable: Whether the data determine a free parameter: its standard error is below 0.3
-            standard deviations of its typical range.
-        names: The free parameters, in the order of `covariance`.
-        covariance: Shape (p, p); rows and columns of what is not identifiable are `inf`.
-        status: How the fit ended; `status.meaning` says it in a sentence.
-        reason: How the fit ended, in words and with its numbers.
-        notes: What a reader should know besides, and what is no reason for doubt.
+        model: The fitted model.
+        values: Values of all parameters of the model by name, including fixed ones.
+        stderr: Standard errors of the free parameters by name; `inf` if the data do not determine them.
+        identifiable: Whether the data determine each free parameter, by name: its standard error is
+            below 0.3 standard deviations of its typical range.
+        names: Names of the free parameters, in the order of `covariance`.
+        covariance: Covariance of the free parameters, shape (p, p); rows and columns of those that are
+            not identifiable are `inf`.
+        status: The outcome of the fit; `status.meaning` explains it in a sentence.
+        reason: The outcome of the fit in words, with its numbers.
+        notes: Further facts about the result that are no reason for doubt.
         warnings: Reasons to doubt the result, each with its kind; empty if there are none.
-        steps: Iterations of the final solve.
-        starts: What each start reached, best first.
-        timings: Seconds that finding "starts", "polishing", "errors" and "compiling" took; what did not
-            happen is missing. Compiling is what a process does once for each size of target.
+        steps: The number of iterations of the final solve.
+        starts: The starts and what each of them reached, the best first.
+        timings: Seconds spent in the stages "starts", "polishing", "errors" and "compiling"; stages that
+            did not take place are missing. A process compiles once for each size of target.
     """
 
     model: eqx.Module
@@ -105,17 +106,17 @@ class Estimate:
 
     @property
     def converged(self) -> bool:
-        """Whether the solver settled, on a model that follows the target."""
+        """Whether the solver converged, to a model that follows the target."""
         return self.status is Status.CONVERGED
 
     @property
     def outcome(self) -> str:
-        """How the fit ended and what a reader should know besides, without the warnings."""
+        """The reason and the notes on one line, without the warnings."""
         return "; ".join([self.reason, *self.notes])
 
     @property
     def message(self) -> str:
-        """How the fit ended, notes and warnings, on one line."""
+        """The reason, the notes and the warnings on one line."""
         return "; ".join([self.outcome, *self.warnings])
 
     @property
@@ -135,7 +136,7 @@ class Estimate:
             level: Probability that the interval covers the truth, in (0, 1).
 
         Returns:
-            (low, high) by name; (−inf, inf) where the data cannot tell.
+            (low, high) by name; (−inf, inf) for parameters that the data do not determine.
         """
         reach = quantile(level)
         return {
@@ -145,10 +146,10 @@ class Estimate:
 
 
 def quantile(level: float) -> float:
-    """How many standard deviations to either side of its mean a Gaussian stays within.
+    """The half-width, in standard deviations, of the central interval of a Gaussian.
 
     Args:
-        level: The probability of that, in (0, 1).
+        level: The probability of the interval, in (0, 1).
     """
     if not 0 < level < 1:
         raise ValueError(f"level must lie between 0 and 1; received {level}")

@@ -1,4 +1,4 @@
-"""The part of the distances that is misfit: distances that neighbouring points share are no noise."""
+"""Maps of misfit: the part of the distances that neighbouring points share, which is not noise."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from petalfit.results.warning import FitWarning, WarningKind
 from petalfit.surfaces import Domain, cells
 
 CELLS = 8  # per side of the domain
-_SYSTEMATIC = 0.1  # of the squared distances: with noise alone there are none
+_SYSTEMATIC = 0.1  # systematic part of the squared distances from which there is a warning
 _ACROSS = ("u < 0", "", "u > 0")
 _ALONG = ("base", "", "tip")
 
 
 class MisfitMap(NamedTuple):
-    """Distances averaged over parts of a surface.
+    """A map of distances averaged over the cells of a surface.
 
     Attributes:
-        mean: Mean signed distance over `CELLS` x `CELLS` cells of (u, v), u first; NaN where no point is.
-        total: Sum of the weights in each.
-        systematic: Part of the squared distances that the means explain, beyond what noise would give
-            them: 0 for a model that follows its points, 1 for distances that are misfit alone.
+        mean: Mean signed distance over `CELLS` x `CELLS` cells of (u, v), u first; NaN for empty cells.
+        total: Sum of the weights in each cell.
+        systematic: Part of the squared distances that the means explain, beyond what they would explain
+            of pure noise: 0 for a model that follows its points, 1 for distances that are all misfit.
     """
 
     mean: Float[np.ndarray, "8 8"]
@@ -47,14 +47,14 @@ class MisfitMap(NamedTuple):
         mean = np.where(seen, sums / np.where(seen, total, 1.0), np.nan)
         squares = float(np.sum(weights * distances**2))
         explained = float(np.sum(sums[seen] ** 2 / total[seen])) / max(squares, 1e-300)
-        # Means of noise alone explain as much of it as there are cells for every point.
+        # The means of pure noise explain a part of it: the number of cells divided by that of points.
         by_chance = min(np.count_nonzero(seen) / max(np.sum(total), 1.0), 1.0)
         systematic = float(max(explained - by_chance, 0.0) / max(1 - by_chance, 1e-9))
         return cls(mean, total, systematic)
 
     @property
     def worst(self) -> str:
-        """The part of the surface with most of the misfit, in words."""
+        """The name of the part of the surface with most of the misfit, in words."""
         misfit = np.nan_to_num(self.total * self.mean**2)
         thirds = np.minimum(3 * np.arange(CELLS) // CELLS, 2)
         parts = np.zeros((3, 3))

@@ -11,11 +11,11 @@ from petalfit.results.estimate import quantile
 
 @dataclasses.dataclass(frozen=True)
 class Profile:
-    """A profile likelihood: how much worse the best fit is with one parameter held.
+    """A profile likelihood: how much worse the best fit is with one parameter held at a value.
 
     Attributes:
         values: Values at which the parameter was held, ascending.
-        delta_chi2: How much worse χ² is there than at the best of them.
+        delta_chi2: Difference of χ² at each value from the least χ² of all.
     """
 
     values: tuple[float, ...]
@@ -39,7 +39,7 @@ class Profile:
                 ends.append(never)
                 continue
             k = int(above[0])
-            # Δχ² is nearly a parabola: its root is nearly straight.
+            # Δχ² is nearly a parabola, so its square root is nearly linear.
             low, high = np.sqrt(costs[k - 1]), np.sqrt(costs[k])
             share = (np.sqrt(limit) - low) / (high - low)
             ends.append(float(values[k - 1] + share * (values[k] - values[k - 1])))

@@ -34,14 +34,14 @@ VERSION = 4
 
 @dataclasses.dataclass(frozen=True)
 class Rank:
-    """A family of petals among others that were fitted to the same cloud.
+    """The rank of one family of petals among those that were fitted to the same cloud.
 
     Attributes:
-        model: Name of the family.
-        delta_bic: How much greater its information criterion is than the best one's; 0 for the best.
-            Ten is a strong preference.
+        model: Name of the family's class of models.
+        delta_bic: Difference of its information criterion (BIC) from the least one; 0 for the best. Ten
+            is a strong preference.
         rms: Root mean square distance that it reached, in the target's unit.
-        freedom: How many numbers it could choose.
+        freedom: Effective number of parameters.
     """
 
     model: str
@@ -56,18 +56,18 @@ class FitRecord(Estimate):
 
     Attributes:
         model: The fitted component, in its own frame.
-        pose: From the model's frame to the target's.
-        agreements: Every target beside the fitted surface, in the order in which they were given.
-        freedom: How many numbers the fit could choose: free parameters, those of a pose among them, or
-            what the coefficients of a smoothed sheet amount to.
-        ranking: Of model="auto", the families that were tried, the best first; else empty.
-        profiles: Profile likelihoods by parameter, as far as they were asked for (`with_profile`).
+        pose: The pose, which maps the model's frame to the target's.
+        agreements: The agreement of every target with the surface, in the order in which they were given.
+        freedom: Effective number of parameters: the number of free parameters, including those of a pose,
+            or what the smoothed coefficients of a spline surface amount to.
+        ranking: With model="auto", the families that were tried, the best first; else empty.
+        profiles: Profile likelihoods by name of the parameter, for those that `with_profile` computed.
         pose_stderr: Standard errors of a fitted pose: turn_x, turn_y and turn_z about the model's axes
             in rad, shift_x, shift_y and shift_z in the target's unit, and scale. Empty if it was known.
-        in_image: Whether it is a fit of a mask without a camera. Its values then have the place in the
-            image too: scale, in pixels a unit, and shift_x and shift_y, in pixels.
-        made_by: The version of petalfit that made it.
-        command: The command line that made it; empty if none did.
+        in_image: Whether a mask without a camera was fitted. The values then include the place in the
+            image: scale, in pixels a unit, and shift_x and shift_y, in pixels.
+        made_by: The version of petalfit that made the result.
+        command: The command line that made the result; empty if none did.
     """
 
     model: AbstractSurface
@@ -83,7 +83,7 @@ class FitRecord(Estimate):
 
     @property
     def input_hash(self) -> str:
-        """SHA-256 of the numbers of the targets: the same for the same data, whatever their file."""
+        """SHA-256 of the numbers in the targets: the same for the same data, whatever file has them."""
         whole = hashlib.sha256()
         for part in self.agreements:
             for block in part.target.content():
@@ -102,7 +102,7 @@ class FitRecord(Estimate):
 
     @property
     def misfit(self) -> MisfitMap | None:
-        """The mean distances of the first target over the surface; None for a silhouette."""
+        """The map of mean distances of the first target over the surface; None for a silhouette."""
         return self.agreements[0].misfit(self.model.domain)
 
     @property
@@ -112,12 +112,12 @@ class FitRecord(Estimate):
 
     @property
     def weights(self) -> Float64[np.ndarray, " n"]:
-        """The weight every datum had in the fit, one target after the other."""
+        """The weights that all data had in the fit, one target after the other."""
         return np.concatenate([part.weights for part in self.agreements])
 
     @property
     def declared(self) -> dict[str, Parameter]:
-        """The declarations of the model's parameters, and of a fitted place in an image."""
+        """The declarations of the model's parameters, and of those of a fitted place in an image."""
         found = super().declared
         if self.in_image:
             width, height = map(float, self.agreements[0].target.extent)
@@ -133,7 +133,7 @@ class FitRecord(Estimate):
         return found
 
     def ranked(self: Record, ranking: tuple[Rank, ...]) -> Record:
-        """The result as the best of several families, which a note then says."""
+        """The result as the best of several families, with the ranking and a note for each other one."""
         _, *others = ranking
         words = [f"{other.model} is worse by {other.delta_bic:.0f} in BIC" for other in others]
         return dataclasses.replace(self, ranking=ranking, notes=(*self.notes, *words))
@@ -143,7 +143,7 @@ class FitRecord(Estimate):
         return moved(self.model.mesh(resolution), self.pose)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write everything as JSON, lossless; `load` gives it back. Whole or not at all."""
+        """Write everything as lossless JSON, which `load` reads. A failure leaves no partial file."""
         with atomic_path(path) as temporary:
             temporary.write_text(json.dumps(self._to_json(), indent=1, allow_nan=False) + "\n")
 
@@ -156,12 +156,12 @@ class FitRecord(Estimate):
         """Read what `save` wrote.
 
         Args:
-            path: Of the file.
-            model: The component that was fitted, if it is none of petalfit's own.
+            path: The path of the file.
+            model: The class of the fitted component, if it is none of petalfit's own.
 
         Raises:
-            TargetError: The file cannot be read, is damaged, or is no fit result of a known version, or
-                of a component that is not known.
+            TargetError: The file cannot be read, is damaged, or holds no fit result of a known version
+                and a known component.
         """
         try:
             with open(path, encoding="utf-8") as file:
@@ -220,7 +220,7 @@ class FitRecord(Estimate):
             "format": FORMAT,
             "version": VERSION,
             "model": type(self.model).__name__,
-            # For readers of the file alone; they follow from the other fields.
+            # These follow from the other fields; they are there for people who read the file.
             "converged": self.converged,
             "message": self.message,
         }

@@ -1,4 +1,4 @@
-"""How a fit ended: one enum, with the meaning of each outcome."""
+"""The status of a fit: one enum, with the meaning of each outcome."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from petalfit.results.meaning import WithMeaning
 
 
 class Status(WithMeaning):
-    """How a fit ended. Each member is the string that files and tables hold.
+    """The outcome of a fit. Each member is the string that files and tables hold.
 
     Attributes:
-        meaning: One sentence for people.
+        meaning: The explanation of the outcome, in one sentence.
     """
 
     CONVERGED = "converged", "The solver settled on a model that follows the target."

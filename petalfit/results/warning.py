@@ -1,4 +1,4 @@
-"""Reasons to doubt a result, as data: what kind of reason, which parameters, and a sentence."""
+"""Warnings as data: reasons to doubt a result, each with a kind, parameters and a sentence."""
 
 from __future__ import annotations
 
@@ -7,12 +7,11 @@ from typing import Any
 
 from petalfit.results.meaning import WithMeaning
 
-
 class WarningKind(WithMeaning):
-    """What a warning is about. Each member is the string that files hold.
+    """The kind of a warning. Each member is the string that files hold.
 
     Attributes:
-        meaning: One sentence for people.
+        meaning: The explanation of the kind, in one sentence.
     """
 
     NOT_DETERMINED = "not_determined", "The target does not determine a parameter."
@@ -39,7 +38,7 @@ class FitWarning(str):
     Programs use the kind and the parameters; people read the sentence.
 
     Attributes:
-        kind: What it is about.
+        kind: The kind of the warning.
         parameters: Names of the parameters that it concerns; empty if it concerns all of them.
     """
 
@@ -49,11 +48,11 @@ class FitWarning(str):
     def __new__(
         cls, text: str, kind: WarningKind | str, parameters: Iterable[str] = ()
     ) -> FitWarning:
-        """A warning.
+        """Makes a warning.
 
         Args:
             text: The whole sentence.
-            kind: What it is about.
+            kind: The kind of the warning.
             parameters: Names of the parameters that it concerns.
         """
         warning = super().__new__(cls, text)
@@ -90,14 +89,15 @@ class FitWarning(str):
 
 
 def of_kind(warnings: Iterable[FitWarning], kind: WarningKind) -> list[FitWarning]:
-    """Those of one kind."""
+    """The warnings of one kind."""
     return [warning for warning in warnings if warning.kind is kind]
 
 
 def one_of_each(warnings: Iterable[FitWarning]) -> Iterator[tuple[str, list[str]]]:
-    """Warnings that say the same of several parameters as one: what is said, and of which parameters.
+    """Groups warnings that say the same about different parameters.
 
-    Those on no single parameter come first, with an empty list.
+    Each group is what is said, and the names of the parameters. Warnings about no single parameter come
+    first, with an empty list.
     """
     of_parameters: dict[str, list[str]] = {}
     for warning in warnings:

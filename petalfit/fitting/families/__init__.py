@@ -1,1 +1,1 @@
-"""Families of models, and how the members of each are found."""
+"""Families of models, and how the models of each are fitted."""

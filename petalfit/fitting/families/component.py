@@ -1,4 +1,4 @@
-"""Any component of one surface, in a known pose: it begins as far as the cloud in all directions."""
+"""The family of any component of one surface, in a known pose, with starts by the cloud's extent."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from petalfit.surfaces import AbstractSurface, Rectangle
 
 
 class ComponentFamily(AbstractFamily):
-    """Components that have no family of their own."""
+    """The family of components that have no family of their own."""
 
     kind: ClassVar[type[AbstractSurface]] = AbstractSurface
 
@@ -44,7 +44,7 @@ class ComponentFamily(AbstractFamily):
 
 
 class RectangleFamily(ComponentFamily):
-    """Rectangles: where one lies along its normal is the pose's to say."""
+    """The family of rectangles; a fitted pose makes their place along the normal redundant."""
 
     kind: ClassVar[type[AbstractSurface]] = Rectangle
     gauges: ClassVar[Mapping[str, tuple[str, ...]]] = {"rigid": ("c_z",)}
@@ -55,9 +55,9 @@ def _observed(points: np.ndarray, weights: np.ndarray, noise: float | None) -> O
 
 
 def _uniformly_covered(end: Iterate, scan: Scan) -> Iterate:
-    """The end, compared with others by the likelihood of points that cover its area evenly too.
+    """The end with a χ² that includes the likelihood of points that cover its area evenly.
 
-    A surface that goes on where no points are may follow the others as well as a shorter one.
+    By distances alone, a surface that extends beyond all points would be as good as a shorter one.
     """
     area = float(np.sum(Quadrature.of(end.model).area))
     chi2 = 2 * float(np.sum(scan.weights) * np.log(max(area, 1e-300)))

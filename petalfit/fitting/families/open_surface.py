@@ -1,4 +1,4 @@
-"""Open surfaces in a pose that may be unknown, found by a safeguarded descent from a few starts."""
+"""Families of open surfaces in any pose, fitted by a safeguarded descent from a few starts."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from petalfit.fitting.solver.observer import report
 from petalfit.fitting.starts.frame import NormalisedFrame
 from petalfit.surfaces import AbstractSurface, value_at
 
-# Points that a start is found with, and that rough steps are taken on.
+# Numbers of points for the search for starts, and for rough steps.
 _SOME = 1536
 _ROUGHLY = 768
 _FOLLOWED = 2
@@ -34,9 +34,9 @@ _ROUGH, _FINE = 10, 30  # steps
 # A start whose χ² is worse than the best's by more than this after rough steps is not followed.
 _HOPELESS = 0.2  # of the number of points
 _SETTLED = 0.3  # √χ² of a step's gain
-_FAR = 0.012  # of the extent: a surface that is so far from its points may be in the wrong place
-_CLEARINGS, _AGAIN = 3, 6
-_UNCHANGED = 0.002  # of the points
+_FAR = 0.012  # noise, relative to the extent, beyond which the surface may be in the wrong place
+_CLEARINGS, _AGAIN = 3, 6  # searches for outliers, and steps after each of them
+_UNCHANGED = 0.002  # a smaller mean change of the probabilities is none
 
 
 Start = TypeVar("Start", bound="CloudStart")
@@ -44,14 +44,14 @@ Start = TypeVar("Start", bound="CloudStart")
 
 @dataclasses.dataclass(frozen=True)
 class CloudStart:
-    """A model that roughly follows a cloud.
+    """A start: a model that roughly follows a cloud.
 
     Attributes:
         model: The model in its own frame. With pose="similarity" its gauge has the template's value.
         rotation: The rotation from the model's frame to the cloud's, shape (3, 3).
-        translation: Where the model's origin lies in the cloud's frame, shape (3,).
+        translation: The model's origin in the cloud's frame, shape (3,).
         scale: The length of the model's unit in the cloud's frame.
-        label: What distinguishes it from the other starts.
+        label: A name that distinguishes the start from the others.
     """
 
     model: AbstractSurface
@@ -61,7 +61,7 @@ class CloudStart:
     label: str
 
     def scaled(self: Start, length: str, pose: str) -> Start:
-        """The start with its scale as a part of its model, unless the pose has it.
+        """The start with its scale moved into the model, unless the pose has a scale.
 
         Args:
             length: The parameter that all lengths of the model are proportional to.
@@ -73,20 +73,21 @@ class CloudStart:
         return dataclasses.replace(self, model=longer, scale=1.0)
 
     def posed(self, pose: str) -> AbstractSurface:
-        """The model, with its pose around it unless that is known."""
+        """The model, as a `Posed` one unless the pose is known."""
         if pose == "known":
             return self.model
         return Posed(self.model, self.rotation, self.translation, self.scale)
 
 
 class OpenSurfaceFamily(AbstractFamily):
-    """A family whose members are open surfaces, and which knows where a fit may start.
+    """A family whose models are open surfaces, for which a subclass finds starts.
 
-    A subclass names its `kind`, its `gauges` and what is `held_at_first`, and gives `starts`. Its
-    members are then fitted in every pose, with every loss.
+    A subclass defines its `kind`, `gauges` and `held_at_first`, and the method `starts`. Its models can
+    then be fitted in every pose, with every loss.
 
     Attributes:
-        held_at_first: Parameters that rough steps hold: they say nothing while the rest is rough.
+        held_at_first: Names of parameters that rough steps hold, because they mean nothing before the
+            other parameters are nearly right.
     """
 
     poses: ClassVar[tuple[str, ...]] = EVERY_POSE
@@ -100,26 +101,26 @@ class OpenSurfaceFamily(AbstractFamily):
         points: Float[np.ndarray, "n 3"],
         pose: str,
     ) -> Sequence[CloudStart]:
-        """Models that may be the cloud's, the likeliest first; two of them are followed.
+        """Starts for a cloud, the likeliest first; the first two are followed.
 
         Args:
-            template: Values of what is not free.
+            template: A model with the values of the parameters that are not free.
             free: Names of the free parameters, without the gauge and those of the pose.
-            points: Points of the surface, for the most part, in the cloud's normalised frame.
-            pose: "known": rotation and translation are not used. "rigid": the model's unit is the
-                cloud's, and so is its scale. "similarity": all of them count.
+            points: Points in the cloud's normalised frame; most of them belong to the surface.
+            pose: "known": rotation and translation of a start are not used. "rigid": the model has the
+                unit of the cloud, and the start has scale 1. "similarity": all of them are used.
         """
 
     def labels(self, starts: Sequence[CloudStart]) -> list[str]:
-        """What the ends are called in a result, given their starts, that of the best end first."""
+        """The labels of the ends in a result, given their starts, with that of the best end first."""
         return [start.label for start in starts]
 
     def standard_form(self, end: Iterate, names: tuple[str, ...]) -> Iterate:
-        """The end by the numbers that a result has, where other numbers give the same surface.
+        """The end in standard form, if several sets of parameters describe the same surface.
 
         Args:
-            end: An end in an unknown pose.
-            names: All that is free.
+            end: An end in a fitted pose.
+            names: Names of all free parameters, including those of the pose.
         """
         del names
         return end
@@ -165,7 +166,7 @@ class OpenSurfaceFamily(AbstractFamily):
     def _in_target(
         self, end: Iterate, names: tuple[str, ...], frame: NormalisedFrame, order: np.ndarray
     ) -> Iterate:
-        """An end in the target's frame and unit, its points in the target's order."""
+        """An end in the target's frame and unit, with points in the target's order."""
         back = np.argsort(order)
         (seen,) = end.residuals
         assert seen.uv is not None
@@ -182,7 +183,7 @@ class OpenSurfaceFamily(AbstractFamily):
 def _descended(
     coordinates: Coordinates, model: AbstractSurface, scan: Scan, held: float = HELD
 ) -> Iterate:
-    """Steps from a model; where points may be outliers, some more whenever others turn out to be."""
+    """Descends from a model; if points may be outliers, again after each search for them."""
     points, weights, members = scan.points, scan.weights, scan.likely.astype(float)
     descent = Descent.of(points, weights, scan.noise, members)
     end = descent.descend(coordinates, model, _FINE, _SETTLED, held)
@@ -202,14 +203,14 @@ def _descended(
 
 
 def _settled(coordinates: Coordinates, start: Iterate, scan: Scan) -> Iterate:
-    """The end of a start, on ever more points."""
+    """The end of a start, found with some of the points first, then with all."""
     number, model = 0, start.model
     if len(scan.points) > 2 * _SOME:
         near = _descended(coordinates, model, scan.first(_SOME))
         model, number = near.model, near.rounds
     end = _descended(coordinates, model, scan)
     if float(terms_of(end)[0].sigma) > _FAR * np.linalg.norm(np.ptp(scan.points, axis=0)):
-        # Shorter steps may lead around what this one fell into.
+        # The descent may have ended in a wrong minimum, which shorter steps may avoid.
         other = _descended(coordinates, model, scan, HELD_BACK)
         end = min(end, other, key=lambda end: end.chi2)
     end = dataclasses.replace(end, rounds=number + end.rounds)
@@ -227,14 +228,14 @@ def _settled(coordinates: Coordinates, start: Iterate, scan: Scan) -> Iterate:
 def turned_over(
     end: Iterate, names: tuple[str, ...], over: AbstractSurface, sided: tuple[str, ...]
 ) -> Iterate:
-    """An end by the numbers of the surface turned over, which is the same one in space.
+    """An end with the parameters of the surface turned over, which is the same surface in space.
 
     Args:
-        end: An end in an unknown pose; a half turn about its y axis turns the surface over.
-        names: All that is free.
+        end: An end in a fitted pose; a half turn about its y axis turns the surface over.
+        names: Names of all free parameters, including those of the pose.
         over: The surface turned over, in its own frame.
-        sided: The parameters that change their signs. Those of the pose, which is a nuisance to them,
-            may keep theirs.
+        sided: Names of the parameters that change their signs. Those of the pose, which are nuisance
+            parameters, may keep theirs.
     """
     model = end.model
     assert isinstance(model, Posed)

@@ -1,4 +1,4 @@
-"""From starts to ends: every start is polished on all points, and the ends are compared."""
+"""Polishing: every start is fitted to all points, and the ends are compared."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from petalfit.fitting.solver.iterate import Iterate
 from petalfit.fitting.solver.observer import report
 from petalfit.surfaces import AbstractSurface
 
-# Points that a start is found with. Enough for the ribs, which are fine; and small clouds are fitted
-# with programs of a single size.
+# Number of points that starts are found with. It is enough for the ribs, which are fine, and small clouds
+# are fitted with programs of a single size.
 START_POINTS = 1536
 _ROUNDS = 30
 _TOLERANCE = 1e-2  # standard errors
@@ -32,12 +32,12 @@ def follow(
     starts: Iterable[tuple[str, AbstractSurface]],
     settle: Callable[[str, AbstractSurface, Prior | None], Iterate],
 ) -> list[Iterate]:
-    """The ends of starts, the best first; in that, what is not determined keeps the template's values.
+    """The ends of starts, the best first; its undetermined parameters keep the template's values.
 
     Args:
         coordinates: The free parameters.
         starts: The starts, with their labels.
-        settle: Finds the end of a start, given what is known besides.
+        settle: A function that finds the end of a start, given its label, its model and a prior.
     """
     ends = []
     for label, model in starts:
@@ -60,9 +60,9 @@ def polished(
     model: AbstractSurface,
     prior: Prior | None,
 ) -> Iterate:
-    """The end of a start, polished on ever more points.
+    """The end of a start, found with some of the points first, then with all.
 
-    Each stage starts within a few standard errors of its end.
+    The second stage so starts within a few standard errors of its end.
     """
     if len(scan.order) > 2 * START_POINTS:
         some = scan.order[:START_POINTS]
@@ -76,7 +76,7 @@ def polished(
 
 
 def likelier(end: Iterate) -> Iterate:
-    """An end among outliers, compared with others by the likelihood of its mixture."""
+    """An end with the χ² of its mixture, by which ends are compared if there may be outliers."""
     assert end.mixture is not None
     return dataclasses.replace(end, chi2=-2 * end.mixture.log_likelihood)
 
@@ -90,7 +90,7 @@ def _polished_on(
     tolerance: float,
     prior: Prior | None,
 ) -> tuple[Iterate, np.ndarray]:
-    """Where the solver stops on some points, and their weights there."""
+    """The end of a start on some of the points, and the weights of these points in it."""
     points, weights, mixture = scan.points[some], scan.weights[some], None
     if scan.background is not None:
         near = clear(coordinates, scan.background, model, points, weights, scan.noise, prior)
@@ -99,7 +99,7 @@ def _polished_on(
         members = weights * mixture.members
         if np.sum(members) >= len(coordinates.free):
             return near, members
-        # No points are left that belong to it: how far it is from all of them is then the result.
+        # Too few points are left that belong to the surface: the result then is its distance from all.
         model, rounds = near.model, 1
     cloud = ObservedCloud(pad(points, weights, scan.noise))
     start = cloud.at(guess_foot_points(model, cloud.data.points))

@@ -1,4 +1,4 @@
-"""All families: petalfit's own, and those that users register."""
+"""The registry of families: petalfit's own, and those that users add."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ _FAMILIES: dict[type[AbstractSurface], AbstractFamily] = {family.kind: family fo
     RectangleFamily(),
     AssemblyFamily(),
 )}  # fmt: skip
-# The petal of a user who names none, and the one to try first on a scan of any petal or leaf.
+# The default petal, and the one to try first on a scan of any petal or leaf.
 DEFAULT, FOR_SCANS = PeonyFamily.kind, BladeFamily.kind
 
 
 def register(family: AbstractFamily) -> AbstractFamily:
-    """Makes a family known, for its kind of models and for model="auto" if it is one of petals.
+    """Adds a family, which is then used for its kind of models, and in model="auto" if `is_petal`.
 
-    Call it where the kind is defined, so that processes of a batch, which import that module, know the
-    family too. A family that is registered for the same kind later takes the place of the earlier one.
+    Call it in the module that defines the kind: the processes of a batch import that module, and so know
+    the family too. A family that is registered later for the same kind replaces the earlier one.
 
     Args:
         family: The family.
@@ -36,7 +36,7 @@ def register(family: AbstractFamily) -> AbstractFamily:
         The family.
 
     Raises:
-        TypeError: It is no family, or has no kind.
+        TypeError: The argument is no family, or has no kind.
     """
     if not isinstance(family, AbstractFamily):
         raise TypeError(f"register takes an instance of a family; received {family!r}")
@@ -48,13 +48,13 @@ def register(family: AbstractFamily) -> AbstractFamily:
 
 
 def family_of(model: AbstractSurface | type[AbstractSurface]) -> AbstractFamily:
-    """The family of a model, posed or not, or of a class of models."""
+    """The family of a model, whether `Posed` or not, or of a class of models."""
     kind = model if isinstance(model, type) else type(bare(model))
     return next(_FAMILIES[base] for base in kind.__mro__ if base in _FAMILIES)
 
 
 def families() -> tuple[AbstractFamily, ...]:
-    """All families that are known."""
+    """All registered families."""
     return tuple(_FAMILIES.values())
 
 

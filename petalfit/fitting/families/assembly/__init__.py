@@ -1,1 +1,1 @@
-"""Organs of several surfaces."""
+"""The family of organs of several surfaces."""

@@ -23,7 +23,7 @@ _TOLERANCE = 1e-2  # standard errors
 
 
 class AssemblyFamily(AbstractFamily):
-    """Assemblies: points are shared among the parts by their likelihood."""
+    """The family of assemblies, in which points are shared among the parts by their likelihood."""
 
     kind: ClassVar[type[AbstractSurface]] = AbstractAssembly
     sees_outlines: ClassVar[bool] = False

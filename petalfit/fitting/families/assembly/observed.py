@@ -1,4 +1,4 @@
-"""The likelihood of a cloud of several surfaces, whose points have to find their part first."""
+"""The likelihood of a cloud of several surfaces, whose points are first assigned to the parts."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from petalfit.surfaces import AbstractSurface
 
 @dataclasses.dataclass(frozen=True)
 class ObservedParts(AbstractObserved):
-    """A cloud of an assembly, as a solver needs it.
+    """The likelihood of a cloud of an assembly, as a solver uses it.
 
     Attributes:
-        data: The cloud.
-        count: How many points it has, without the padding.
+        data: The cloud, padded.
+        count: The number of points, without padding.
     """
 
     data: Data
@@ -40,7 +40,7 @@ class ObservedParts(AbstractObserved):
         return cls(pad(points, weights, noise), len(points))
 
     def match(self, model: AbstractSurface, term: AbstractTerm | None) -> PartsDistance:
-        """Foot points on every part, and every point shared among the parts that it may be of."""
+        """The term with foot points on every part, and each point shared among the parts near it."""
         feet, gaps = self._reach(model, term)
         sigma = self.data.sigma if term is None else term.sigma
         terms = tuple(
@@ -56,10 +56,10 @@ class ObservedParts(AbstractObserved):
     def _reach(
         self, model: AbstractSurface, term: AbstractTerm | None
     ) -> tuple[list[Array], Float[np.ndarray, "k n"]]:
-        """Foot points of all points on every part, and how far they are."""
+        """Foot points of all points on every part, and the distances to them."""
         points, feet, gaps = np.asarray(self.data.points), [], []
         for k, (pose, surface) in enumerate(cast(AbstractAssembly, model).parts().values()):
-            # In the part's own frame: parts of one kind share their programs.
+            # Points are taken to the part's own frame, so that parts of one kind share their programs.
             rotation, shift = np.asarray(pose.rotation), np.asarray(pose.translation)
             own = (points - shift) @ rotation / float(pose.scale)
             surface = in_doubles(surface)
@@ -123,9 +123,9 @@ class ObservedParts(AbstractObserved):
 
 
 def _shares(gaps: Float[np.ndarray, "k n"], sigma: float) -> Float[np.ndarray, "k n"]:
-    """How likely every point is of each part, all being covered equally densely.
+    """The probability of each point to belong to each part, if all parts are covered equally densely.
 
-    Where parts run into one another the nearest is not always the right one: it would pull both there.
+    The nearest part is not always the right one where parts meet: taking it would pull both parts there.
     """
     if not np.isfinite(sigma):
         return (gaps == gaps.min(axis=0)).astype(float)
@@ -134,5 +134,5 @@ def _shares(gaps: Float[np.ndarray, "k n"], sigma: float) -> Float[np.ndarray, "
 
 
 def _within(coordinates: Coordinates, number: int) -> Coordinates:
-    """The same coordinates, of one part of the assembly."""
+    """The same coordinates for one part of the assembly alone."""
     return dataclasses.replace(coordinates, template=coordinates.template.part(number))

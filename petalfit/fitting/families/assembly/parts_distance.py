@@ -22,8 +22,8 @@ class PartsDistance(AbstractTerm):
     """The tangent distances of all parts of an assembly, each with the weights of its own points.
 
     Attributes:
-        terms: One for every part.
-        sigma: Noise, the parts' together.
+        terms: One term for every part.
+        sigma: Standard deviation of the noise, common to all parts.
     """
 
     terms: tuple[TangentDistance, ...]

@@ -1,1 +1,1 @@
-"""Blades."""
+"""The family of blades."""

@@ -16,7 +16,7 @@ from petalfit.surfaces import AbstractSurface
 
 
 class BladeFamily(OpenSurfaceFamily):
-    """Blades: the flattened cloud shows where base and tip may be, and how the blade is bent."""
+    """The family of blades; the flattened cloud shows their base, tip and bending."""
 
     kind: ClassVar[type[AbstractSurface]] = BladePetal
     gauges: ClassVar[Mapping[str, tuple[str, ...]]] = {"similarity": ("length",)}
@@ -45,7 +45,7 @@ class BladeFamily(OpenSurfaceFamily):
         return [start.beside(best) for start in found]
 
     def standard_form(self, end: Iterate, names: tuple[str, ...]) -> Iterate:
-        """A blade has its hollow side up; the blade turned over is the same one by other numbers."""
+        """The end with the hollow side of the blade up; the other side gives the same blade in space."""
         blade = cast(BladePetal, bare(end.model))
         if not float(blade.cup_mid) < 0:
             return end

@@ -1,4 +1,4 @@
-"""Starts of blades: the flattened cloud shows where tip and margins are, and how the blade is bent."""
+"""Starts of blades: the flattened cloud shows their tip, margins and bending."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ BENDS = (
     "margin_curl",
     "keel",
 )
-_BENT = 512  # points that the bending is found with
+_BENT = 512  # number of points that the bending is fitted to
 _STRIPS = 16
-_OUTSIDE = 0.02  # quantile of a strip's points that its margins are taken at
+_OUTSIDE = 0.02  # quantile of a strip's points at which its margins are taken
 _TURNED = (
     "the same way round",
     "turned by a quarter",
     "base and tip exchanged",
     "turned by three quarters",
 )
-_HELD_BACK = 0.3  # weight of the typical ranges against distances in tenths of the length
+_HELD_BACK = 0.3  # weight of the prior (typical ranges) against distances in tenths of the length
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,9 +49,9 @@ class BladeStart(CloudStart):
     """A blade that roughly follows a cloud. The length of its model is the template's.
 
     Attributes:
-        misfit: Root mean square distance of points to their places on it, in lengths.
-        quarter: By how many quarter turns of the flattened cloud its tip came up.
-        side: The side of the cloud from which it is seen, 1 or −1.
+        misfit: Root mean square distance of points to their places on the blade, in blade lengths.
+        quarter: The number of quarter turns of the flattened cloud that bring its tip up.
+        side: The side of the cloud from which the blade is seen, 1 or −1.
     """
 
     misfit: float
@@ -59,7 +59,7 @@ class BladeStart(CloudStart):
     side: float
 
     def beside(self, other: BladeStart) -> str:
-        """How it lies beside another start of the same cloud, in words."""
+        """Its orientation relative to another start of the same cloud, in words."""
         turned = _TURNED[(self.quarter - other.quarter) % 4]
         return turned if self.side == other.side else f"{turned}, from the other side"
 
@@ -70,10 +70,10 @@ def blade_starts(
     """Starts for the four directions in which the tip may lie, and for both sides, the best first.
 
     Args:
-        template: Values of what is not free.
-        free: Names of the parameters that may move.
-        points: The cloud.
-        posed: Whether its pose is to be found; else it stays in the cloud's frame, but for its size.
+        template: A blade with the values of the parameters that are not free.
+        free: Names of the free parameters.
+        points: The points of the cloud.
+        posed: Whether the pose is fitted; else the blade is in the cloud's frame, up to its size.
     """
     plane = flatten(points)
     found = []
@@ -100,14 +100,14 @@ def _start(
     reach: float,
     posed: bool,
 ) -> tuple[BladePetal, np.ndarray, np.ndarray, float, float]:
-    """A blade with rotation, translation, scale and misfit, for one way in which the cloud may lie."""
+    """A blade with rotation, translation, scale and misfit, for one orientation of the flat cloud."""
     length = float(template.length)
     outline = {n: v for n, v in zip(OUTLINE, _outline(q, s), strict=True) if n in free}
     blade = with_values(template, outline)
     flat = np.stack([q, s, np.zeros(len(q))], axis=-1)
     turn, shift = np.eye(3), np.zeros(3)
     if posed:
-        # Kabsch: the rotation that brings the flat blade nearest to its points.
+        # Kabsch's algorithm gives the rotation that brings the flat blade nearest to its points.
         across = (points - points.mean(axis=0)).T @ (flat - flat.mean(axis=0))
         left, _, right = np.linalg.svd(across)
         turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
@@ -139,7 +139,7 @@ def _start(
 
 
 class _Bending(NamedTuple):
-    """What the bending is found from: places (q, s) of the flat blade, in lengths, and their points."""
+    """The data of the bending's fit: places (q, s) on the flat blade, in lengths, and their points."""
 
     blade: BladePetal
     turn: Float[Array | np.ndarray, "3 3"]
@@ -152,7 +152,7 @@ class _Bending(NamedTuple):
 
 
 def _gaps(step: Array, data: _Bending) -> Array:
-    """From points to their places, in lengths."""
+    """Differences between points and their places on the blade, in blade lengths."""
     step = step * data.active
     angles = {name: getattr(data.blade, name) + step[k] for k, name in enumerate(BENDS)}
     values = vars(data.blade) | angles
@@ -187,7 +187,7 @@ _bend = Program(_best_bending)
 
 
 def _outline(q: Float[np.ndarray, " n"], s: Float[np.ndarray, " n"]) -> Float[np.ndarray, "6"]:
-    """Width, where it is widest, widths of the ends and tapers, from the widths of strips."""
+    """Width, position of the widest part, widths of the ends and tapers, from the widths of strips."""
     from scipy.optimize import least_squares
 
     edges = np.linspace(0, 1, _STRIPS + 1)

@@ -1,1 +1,1 @@
-"""Peony petals."""
+"""The family of peony petals."""

@@ -36,24 +36,25 @@ from petalfit.fitting.starts.frame import NormalisedFrame
 from petalfit.surfaces import AbstractSurface, Pose, turn_between
 
 _APPROACH_POINTS = 2048
-# Gain in χ² of ribs in what a right end leaves: by chance alone, the best of 200 frequencies has 10.
+# Further ribs that gain more than this in χ² on the residuals of an end show that it is wrong. By chance
+# alone, the best of 200 frequencies gains 10.
 _RIBS_LEFT = 20.0
-# Poses that are tried at first, and along the normal of the best of these; more in an unknown unit or
-# among outliers.
+# Number of poses that are tried first, and number along the normal of the best of these; more in an
+# unknown unit or among outliers.
 _TRIED, _TRIED_IN_DOUBT = (3, 0), (4, 3)
-# Poses whose logarithm of the likelihood is worse by more than this part of the points are not followed.
+# A pose is not followed if its log likelihood is worse than the best by more than this per point.
 _HOPELESS = 0.05
 _SAME_TURN = 0.1  # rad
-_FEWEST = 64  # points from which a plane and an outline can be told
+_FEWEST = 64  # fewest points that determine a plane and an outline
 _TYPICAL_EXTENT = 10.0  # root mean square distance of a petal's points from their middle
 
 
 class PeonyFamily(AbstractFamily):
-    """Peony petals: outline, heights and ribs are found one after the other."""
+    """The family of peony petals, whose outline, heights and ribs are found one after the other."""
 
     kind: ClassVar[type[AbstractSurface]] = PeonyPetal
     poses: ClassVar[tuple[str, ...]] = EVERY_POSE
-    # Where a petal lies along its normal is the pose's to say.
+    # A fitted pose makes the petal's place along its normal redundant.
     gauges: ClassVar[Mapping[str, tuple[str, ...]]] = {"rigid": ("c_z",), "similarity": ("c_z",)}
     is_petal: ClassVar[bool] = True
 
@@ -61,7 +62,7 @@ class PeonyFamily(AbstractFamily):
         used = request.cloud.mass > 0
         frame = NormalisedFrame.of(request.cloud.points[used], request.pose)
         if request.pose == "similarity":
-            # As large as petals usually are in the model's unit.
+            # In this unit the cloud is as large as petals usually are in the model's unit.
             frame = dataclasses.replace(frame, unit=frame.unit / _TYPICAL_EXTENT)
         scan, _ = scan_of(request, frame, False)
         names = self.free_in(request.pose, request.free)
@@ -105,7 +106,7 @@ def _in_target(end: Iterate, frame: NormalisedFrame) -> Iterate:
 
 
 def _from_known(coordinates: Coordinates, scan: Scan, from_template: bool) -> list[Iterate]:
-    """Ends in the cloud's own frame."""
+    """Ends of a fit in a known pose."""
     starts: Iterator[tuple[str, AbstractSurface]] | list[tuple[str, AbstractSurface]]
     starts = known_starts(coordinates, scan)
     if from_template:
@@ -120,7 +121,7 @@ def _from_known(coordinates: Coordinates, scan: Scan, from_template: bool) -> li
 def _from_anywhere(
     template: PeonyPetal, free: tuple[str, ...], pose: str, scan: Scan
 ) -> list[Iterate]:
-    """Ends of the poses that the cloud leaves open."""
+    """Ends of a fit in an unknown pose, for all poses that the cloud allows."""
     names = (*free, *Posed.free_in(pose))
     report("searching the pose")
     likely = scan.points[scan.some(START_POINTS)]
@@ -169,7 +170,7 @@ def _from_anywhere(
 def _polished_poses(
     template: PeonyPetal, names: tuple[str, ...], scan: Scan, near: Iterate, label: str
 ) -> list[Iterate]:
-    """Ends of one pose, one for each rib frequency that the cloud leaves open."""
+    """Ends near one pose, one for each rib frequency that the cloud allows."""
     smooth = cast(Posed, near.model)
     coordinates = Coordinates.of(smooth.at_rest(in_doubles(template)), names)
     smooth = smooth.at_rest(in_doubles(smooth.surface))
@@ -185,11 +186,11 @@ def _polished_poses(
             yield f"{label}, smooth", smooth
             return
         basins = ribs_beside(coordinates, smooth, ObservedCloud(term.data), term)
-        # Among outliers a periodogram tells less: there all of them are followed.
+        # Among outliers a periodogram is less reliable: there all its peaks are followed.
         first = close(basins) if scan.background is None else basins
         yield from map(labelled, first)
         rest = basins[len(first) :]
-        # Beside a smooth petal that is not quite the right one, ribs may seem to have another frequency.
+        # If the smooth petal is not quite the right one, ribs may seem to have another frequency.
         if rest and _ribs_left(coordinates, scan, min(ends, key=lambda end: end.chi2)):
             yield from map(labelled, rest)
 
@@ -201,7 +202,7 @@ def _polished_poses(
 
 
 def _ribs_left(coordinates: Coordinates, scan: Scan, end: Iterate) -> bool:
-    """Whether other ribs would explain what an end leaves: then its own are the wrong ones."""
+    """Whether other ribs would explain the residuals of an end, so that its own are the wrong ones."""
     (seen,) = end.residuals
     assert seen.uv is not None
     data = pad(scan.points, np.asarray(seen.weights)[: len(scan.points)], seen.noise)

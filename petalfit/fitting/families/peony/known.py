@@ -1,4 +1,4 @@
-"""Starts of peony petals in a known pose: outline and heights, then the ribs that are left open."""
+"""Starts of peony petals in a known pose: outline and heights, then possible ribs."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from petalfit.fitting.solver.iterate import Iterate
 from petalfit.fitting.solver.observer import report
 from petalfit.residuals import Data
 
-_LENGTHS = (16.0, 21.0, 27.0, 35.0)  # that are tried where the tip is missing
+_LENGTHS = (16.0, 21.0, 27.0, 35.0)  # lengths b_y that are tried if the tip is missing
 
 
 def known_starts(
     coordinates: Coordinates[PeonyPetal], scan: Scan
 ) -> Iterator[tuple[str, PeonyPetal]]:
-    """Petals to polish: one for each rib frequency that the cloud leaves open."""
+    """Starts with their labels, one for each rib frequency that the cloud allows."""
     template, free = coordinates.template, coordinates.free
     some = scan.some(START_POINTS)
     points = scan.points[some]
@@ -34,7 +34,7 @@ def known_starts(
     outline, complete = fit_outline(template, free, points)
     polished = _smooth(coordinates, outline, data)
     if "b_y" in free and not complete:
-        # Without its tip a petal has the outline of a shorter one: look at several lengths.
+        # Without its tip a petal has the outline of a shorter one, so that several lengths are tried.
         rest = [name for name in free if name != "b_y"]
         for length in _LENGTHS:
             longer = with_values(template, {"b_y": length})
@@ -56,7 +56,7 @@ def known_starts(
 def _smooth(
     coordinates: Coordinates[PeonyPetal], outline: PeonyPetal, data: Data
 ) -> Iterate[PeonyPetal]:
-    """A petal without ribs, from its outline."""
+    """A petal without ribs, fitted to the data from its outline."""
     rough, uv = _with_heights(coordinates, outline, data)
     held = coordinates.holding(RIBS).around(with_values(rough, {"rib_amplitude": 0.0}))
     cloud = ObservedCloud(data)
@@ -66,7 +66,7 @@ def _smooth(
 def _with_heights(
     coordinates: Coordinates[PeonyPetal], outline: PeonyPetal, data: Data
 ) -> tuple[PeonyPetal, Array]:
-    """The petal with the heights that its outline leaves, and foot points straight below the data."""
+    """The petal with heights fitted to the data, and foot points straight below the data."""
     heights = Heights.of(outline, coordinates.free, data)
     if not heights.names:
         return outline, heights.uv

@@ -21,12 +21,13 @@ from petalfit.residuals import Data
 OUTLINE = ("a_x", "b_y", "c")
 HEIGHTS = ("c_z", "dx", "dy", "midrib_height", "tip_curl")
 
-# Directions of half a circle: of the other half support functions are the same, where x = 0 is a mirror.
+# Directions of half a circle. Petals are symmetric about x = 0, so that support functions in the other
+# half are the same.
 _DIRECTIONS = np.pi * (np.arange(17) / 16 - 0.5)
 _SHARES = np.array([1, *15 * [2], 1]) / 32
 _BATCH = 256
-_GENERATIONS = (4, 1, 1, 1, 1)  # batches
-# Mean score of a direction: of whole petals at most 0.4, without their tip at least 1.7.
+_GENERATIONS = (4, 1, 1, 1, 1)  # batches of candidates in each generation
+# The mean score of a direction is at most 0.4 for whole petals, and at least 1.7 for petals without tip.
 _COMPLETE = 1.0
 
 _TYPICAL = {name: parameters(PeonyPetal)[name].typical for name in OUTLINE}
@@ -43,12 +44,12 @@ _OUTLINE_UV = np.concatenate(
 
 
 class OutlineSearch(NamedTuple):
-    """Candidates for a_x, b_y and c: those that are not free keep the petal's values.
+    """Candidates for a_x, b_y and c. Those of the three that are not free keep the petal's values.
 
     Attributes:
-        plane: The petal with nothing rising from the plane.
-        given: Its values.
-        moves: Which of them are free.
+        plane: The petal without heights, in its plane.
+        given: The petal's a_x, b_y and c, shape (3,).
+        moves: Whether each of these is free, shape (3,).
     """
 
     plane: PeonyPetal
@@ -57,7 +58,7 @@ class OutlineSearch(NamedTuple):
 
     @classmethod
     def of(cls, petal: PeonyPetal, free: Collection[str]) -> OutlineSearch:
-        """Candidates around the outline of a petal."""
+        """The search among outlines of a petal."""
         given = np.array([float(getattr(petal, name)) for name in OUTLINE])
         return cls(petal.shadow, given, np.isin(OUTLINE, [*free]))
 
@@ -69,7 +70,10 @@ class OutlineSearch(NamedTuple):
     def around(
         self, values: Float[np.ndarray, "3"], part: float, batches: int, others: int = 0
     ) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k others"]]:
-        """Values evenly spread over a part of the typical ranges, and so many other numbers in (0, 1)."""
+        """Candidates evenly spread around values, over a part of the typical ranges.
+
+        With each come `others` further numbers, evenly spread in (0, 1).
+        """
         evenly = evenly_spread(batches * _BATCH, 3 + others)
         spread = self.moves * (_HIGH - _LOW) * part
         return np.clip(values + spread * (evenly[:, :3] - 0.5), *_BOUNDS), evenly[:, 3:]
@@ -89,20 +93,22 @@ def fit_outline(
     free: Collection[str],
     points: Float[np.ndarray, "n 3"],
 ) -> tuple[PeonyPetal, bool]:
-    """The petal with the a_x, b_y and c whose outline has the support function of the points' x and y.
-
-    And whether it has: if not, a part of the petal without which the outline is another is missing.
+    """Fits a_x, b_y and c, so that the outline has the support function of the points' x and y.
 
     Petals are symmetric about x = 0 (but for their scallops), so points are reflected there: half a
-    petal shows the whole outline. A heavy-tailed score lets a missing part be missing. Evenly spread
-    candidates over the typical ranges, then generations of them around the best.
+    petal shows the whole outline. A heavy-tailed score allows for missing parts. Candidates are first
+    spread evenly over the typical ranges, then in generations around the best.
+
+    Returns:
+        The petal with the fitted outline, and whether the points have it. If not, a part of the petal is
+        missing that matters for the outline.
     """
     directions = np.stack([np.cos(_DIRECTIONS), np.sin(_DIRECTIONS)])
 
     def along(xy: np.ndarray) -> np.ndarray:
         return np.stack([np.abs(xy[..., 0]), xy[..., 1]], axis=-1) @ directions
 
-    # The farthest few of the points may be strays.
+    # The farthest few of the points may be outliers.
     target = np.sort(along(points), axis=0)[-(1 + len(points) // 128)]
     tolerance = 0.01 * np.max(np.abs(target))
     search, score = OutlineSearch.of(petal, free), np.inf
@@ -122,13 +128,13 @@ def _repeated(petal: PeonyPetal, values: dict[str, np.ndarray]) -> PeonyPetal:
 
 
 class Heights(NamedTuple):
-    """How high points lie above a petal's plane, and what parameters could raise it.
+    """Heights of points above a petal's plane, and the heights that amplitudes give the petal there.
 
     Attributes:
-        names: The amplitudes that are free.
-        basis: The height that a unit of each gives at every point's place, shape (n, k).
-        above: Of the points.
-        uv: Their places, straight below.
+        names: Names of the free amplitudes.
+        basis: Heights of the petal below every point for amplitudes of 1, shape (n, k).
+        above: Heights of the points above the petal without these amplitudes, shape (n,).
+        uv: Places straight below the points, shape (n, 2).
     """
 
     names: tuple[str, ...]
@@ -138,14 +144,15 @@ class Heights(NamedTuple):
 
     @classmethod
     def of(cls, petal: PeonyPetal, free: Collection[str], data: Data) -> Heights:
-        """The heights of points above a petal's plane, whatever its amplitudes."""
+        """The heights of points above a petal's plane; its own values of free amplitudes do not count."""
         names = tuple(name for name in HEIGHTS if name in free)
         plane = with_values(petal, dict.fromkeys((*names, "rib_amplitude"), 0.0))
         uv = straight_below(plane.shadow, data.points)
         here = Coordinates.of(plane, names)
         t = here.inverse(plane)
         seen = programs.linearise(here, data, t, uv)
-        # Straight above its foot a point has the distance n_z (z - S_z), S_z linear in the heights.
+        # A point straight above its foot point has the distance n_z (z - S_z); S_z is linear in the
+        # amplitudes.
         n_z = np.asarray(seen.normal)[:, 2]
         n_z = np.where(np.abs(n_z) > 1e-3, n_z, np.inf)
         basis = -np.asarray(seen.slopes) / here.slopes(t) / n_z[:, None]
@@ -157,7 +164,7 @@ def fit_amplitudes(
     basis: Float[np.ndarray, "n k"],
     weights: Float[np.ndarray, " n"],
 ) -> Float[np.ndarray, " k"]:
-    """Robust linear least squares of the heights."""
+    """The amplitudes that explain heights best, by robust linear least squares."""
     amplitudes = np.zeros(basis.shape[1])
     for _ in range(5):
         residual = heights - basis @ amplitudes

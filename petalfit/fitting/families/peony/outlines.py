@@ -1,4 +1,4 @@
-"""Ribs of a peony petal that show in outlines, or in the clouds of a joint fit."""
+"""Ribs of a peony petal that are found in outlines, or in the clouds of a joint fit."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ def ribbed_starts(
     clouds: Sequence[ObservedCloud],
     views: ObservedViews,
 ) -> Iterator[tuple[str, AbstractSurface]]:
-    """Petals with the ribs that clouds and silhouettes speak for, beside one without ribs.
+    """Starts made from a petal without ribs, with the ribs that clouds and silhouettes show.
 
     Args:
-        coordinates: Free parameters.
+        coordinates: The free parameters.
         held: The same coordinates with the ribs held.
         smooth: A petal without ribs that follows the outlines.
         clouds: All clouds of the fit.
@@ -55,7 +55,7 @@ def ribbed_starts(
 def _rib_basins(
     held: Coordinates, smooth: AbstractSurface, views: ObservedViews
 ) -> tuple[list[RibBasin], bool]:
-    """Rib frequencies that explain best what the silhouettes leave, and whether ribs would show."""
+    """Rib frequencies that explain the residuals of silhouettes best, and whether ribs would show."""
     free, t = held.free, held.inverse(smooth)
     frequencies = FREQUENCIES
     if "rib_frequency" not in free:
@@ -63,7 +63,7 @@ def _rib_basins(
     covariance, power = np.zeros((2, len(frequencies)))
     for view in views.views:
         slopes, waves, distance = _weighted(held, t, view, frequencies)
-        # What the smooth parameters can follow within their typical ranges does not speak for ribs.
+        # Distances that other parameters can follow within their typical ranges are no sign of ribs.
         inverse = np.linalg.inv(slopes.T @ slopes + np.eye(len(t)))
         distance = distance - slopes @ (inverse @ (slopes.T @ distance))
         waves = waves - (waves @ slopes) @ inverse @ slopes.T
@@ -77,7 +77,7 @@ def _rib_basins(
 def _weighted(
     held: Coordinates, t: Float[np.ndarray, " p"], view: View, frequencies: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Slopes, waves and distances of the outline and the contour, in units of the noise."""
+    """Slopes, rib waves and distances at matched places of a view, in units of the noise."""
     smooth = held.model(t)
     match = view.matched(outline(smooth, view.contour.camera))
     noise = view.noise(match)

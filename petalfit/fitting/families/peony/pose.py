@@ -1,10 +1,10 @@
 """Starts of peony petals in an unknown pose: the plane, the outline in it, then heights and tilt.
 
-Seen along the normal of its plane a petal is its outline, which says how it is turned and where its
-base is; from either side it is nearly the same, so that both sides are looked at. A bend along the petal
-tilts the plane that lies nearest to its points: heights above it tell by how much, and a second sweep
-looks from the corrected direction. Last, the waves across it tell turns and shifts in the plane that an
-outline with a gap in it cannot tell.
+Seen along the normal of its plane, a petal appears as its outline, which shows how the petal is turned
+and where its base is. From either side the outline is nearly the same, so that both sides are tried. A
+bend along the petal tilts the plane that lies nearest to its points. Heights above that plane show by how
+much, and a second sweep views the cloud from the corrected direction. Last, the waves across the petal
+determine turns and shifts in the plane, which an outline with a gap does not.
 """
 
 from __future__ import annotations
@@ -31,34 +31,34 @@ _DIRECTIONS = 48
 _ROLLS = 24
 _ANGLES = 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
 _RAYS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=-1)
-_SPARSE = 2.2  # median neighbour distances in the plane
-_TOLERANCE = 0.02  # of the largest support
-# A part of the petal may be missing, but little of the cloud lies outside of the petal: the support of
-# the points beyond the outline's counts more, and goes on counting.
+_SPARSE = 2.2  # a point is isolated beyond this many median neighbour distances in the plane
+_TOLERANCE = 0.02  # unit of differences in support, relative to the largest support
+# A part of the petal may be missing, but little of the cloud lies outside of the petal. Support of the
+# points beyond that of the outline therefore has more weight, and loses it more slowly.
 _OUTSIDE, _SOFT = 3.0, 0.1
-_SHIFTS = 4  # reweighted solutions for the place
+_SHIFTS = 4  # iterations of reweighted least squares for the shift
 _SPREAD = 3  # batches of evenly spread outlines
 _GENERATIONS = 5
 _REFINED = 6
 _APART = np.radians(12.0)
-_FEW = 384  # points that heights are found with
-_TILTED = 1  # planes that a second sweep looks at
-_ALIGNED = 8  # whose waves are looked at
+_FEW = 384  # points that heights are fitted to
+_TILTED = 1  # number of planes for a second sweep
+_ALIGNED = 8  # number of petals that are aligned by their waves
 _TURNS = np.radians(np.linspace(-8.0, 8.0, 33))
-# In an unknown unit: those that outlines are sought in, and sizes that waves are sought in.
+# For an unknown unit: units in which outlines are searched for, and relative sizes for waves.
 _UNITS = (0.6, 1.0, 1.5)
 _SIZES, _SIZES_TRIED = np.geomspace(0.6, 1.7, 53), 2
 _SAME = 0.05  # rad, or relative
 
 
 class Placed(NamedTuple):
-    """A petal without ribs somewhere.
+    """A petal without ribs in a pose.
 
     Attributes:
-        petal: In its own frame.
-        rotation: From there to the cloud's frame.
-        translation: Of its origin.
-        unit: Length of its unit in the cloud's.
+        petal: The petal in its own frame.
+        rotation: The rotation from the petal's frame to the cloud's, shape (3, 3).
+        translation: The petal's origin in the cloud's frame, shape (3,).
+        unit: The length of the petal's unit in the cloud's unit.
         misfit: Median distance of points along the normal of its plane, in the cloud's unit.
     """
 
@@ -69,11 +69,11 @@ class Placed(NamedTuple):
     misfit: float
 
     def into(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-        """Points of the cloud, in the petal's frame."""
+        """Transforms points of the cloud into the petal's frame."""
         return (points - self.translation) @ self.rotation / self.unit
 
     def apart(self, other: Placed) -> float:
-        """By how much they differ: the angle between them in rad, or in parts of their lengths."""
+        """The difference from another one: the largest of angle in rad, relative shift and size."""
         turn = turn_between(self.rotation, other.rotation)
         length = self.unit * float(self.petal.b_y)
         shift = np.linalg.norm(self.translation - other.translation) / length
@@ -85,7 +85,7 @@ class Placed(NamedTuple):
 
 
 class _Flat(NamedTuple):
-    """An outline in a plane: turned by an angle, then shifted."""
+    """An outline in a plane, turned by an angle and then shifted."""
 
     values: Float[np.ndarray, "3"]
     angle: float
@@ -100,14 +100,15 @@ def placed_petals(
     pose: str,
     axes: Float[np.ndarray, "3 3"] | None = None,
 ) -> list[Placed]:
-    """Petals that may be the cloud's, different ones, the likeliest first.
+    """Different petals that a cloud may show, the likeliest first.
 
     Args:
-        template: Values of what is not free.
-        free: Names of the parameters that may move.
-        points: Of the petal, for the most part.
-        pose: "rigid", or "similarity" if their unit is not the model's: that of typical petals, roughly.
-        axes: Of which the last is the normal of the petal's plane, if that is known.
+        template: A petal with the values of the parameters that are not free.
+        free: Names of the free parameters.
+        points: Points, most of which belong to the petal.
+        pose: "rigid", or "similarity" if the unit of the points is not the model's; in it, the petal must
+            then have roughly the size of typical petals.
+        axes: Axes, of which the last is the normal of the petal's plane; None if that is not known.
     """
     units = _UNITS if pose == "similarity" else (1.0,)
     known = _plane(points) if axes is None else axes
@@ -122,7 +123,7 @@ def placed_petals(
 
 
 def _different(found: list[Placed]) -> list[Placed]:
-    """The likeliest first, without those that are nearly where a better one is."""
+    """The petals, the likeliest first, without those that nearly equal a better one."""
     chosen: list[Placed] = []
     for placed in sorted(found, key=_misfit):
         if all(placed.apart(other) > _SAME for other in chosen):
@@ -141,7 +142,7 @@ def _seen_along(
     axes: Float[np.ndarray, "3 3"],
     unit: float,
 ) -> list[Placed]:
-    """Petals of a given unit, seen along the last of three axes, from either side."""
+    """Petals of a given unit whose outlines fit the cloud, seen along the last axis from either side."""
     found = []
     centre = points.mean(axis=0)
     for flat in _outlines(template, free, ((points - centre) @ axes)[:, :2] / unit):
@@ -161,10 +162,10 @@ def _aligned(
     points: Float[np.ndarray, "n 3"],
     sizes: Float[np.ndarray, " g"],
 ) -> Iterator[Placed]:
-    """The petal turned and shifted in its plane until the waves across it are those of the points.
+    """Turns and shifts a petal in its plane, until the waves across it are those of the points.
 
-    Their length is known, so that a small turn and a phase are all there is to find, and in an unknown
-    unit by how much the petal is larger; half a wave farther the other sign fits as well.
+    The length of the waves is known. The unknowns are a small turn and a phase, and in an unknown unit
+    the relative size of the petal. Shifted by half a wave, the other sign of dx fits as well.
     """
     above = _Above.of(placed.petal, free, placed.into(points[:_FEW]))
     root = np.sqrt(1 / (1 + (above.left / (2 * above.misfit + 1e-300)) ** 2))
@@ -187,7 +188,7 @@ def _aligned(
         turn = np.array([[cosine, -sine], [sine, cosine]])
         rotation = placed.rotation.copy()
         rotation[:, :2] = rotation[:, :2] @ turn
-        # A sin(πx/2 + ψ) is dx sin(π(x - x₀)/2 - ½).
+        # The waves A sin(πx/2 + ψ) are dx sin(π(x - x₀)/2 - ½).
         shift = -(np.arctan2(pair[k, t, 1], pair[k, t, 0]) + 0.5) * 2 / np.pi
         larger = {name: sizes[k] * float(getattr(placed.petal, name)) for name in ("a_x", "b_y")}
         petal = with_values(placed.petal, {n: x for n, x in larger.items() if n in free})
@@ -199,14 +200,14 @@ def _aligned(
 
 
 def _peaks(gain: Float[np.ndarray, " g"]) -> list[int]:
-    """Where it is greater than around, the greatest first."""
+    """Indices of the local maxima, the greatest first."""
     before, after = np.append(-np.inf, gain[:-1]), np.append(gain[1:], -np.inf)
     peaks = np.flatnonzero((gain >= before) & (gain > after))
     return peaks[np.argsort(-gain[peaks])][:_SIZES_TRIED].tolist()
 
 
 def _plane(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3 3"]:
-    """Axes of which the last is the normal of the plane nearest to most points."""
+    """Axes, of which the last is the normal of the plane nearest to most points."""
     weights, axes = np.ones(len(points)), np.eye(3)
     for _ in range(8):
         centred = points - np.average(points, axis=0, weights=weights)
@@ -218,15 +219,15 @@ def _plane(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3 3"]:
 
 
 class _Above(NamedTuple):
-    """Points above a petal's plane, and the heights and the tilt that explain them.
+    """Points above a petal's plane, and the amplitudes and the tilt that explain their heights.
 
     Attributes:
-        own: The points, in the petal's frame.
-        names: The amplitudes that are free.
-        basis: Of each the heights, then those of a plane.
-        heights: Of the points.
-        left: Of these, what is not explained.
-        amplitudes: Of the basis.
+        own: The points in the petal's frame, shape (n, 3).
+        names: Names of the free amplitudes.
+        basis: Heights for an amplitude of 1 each, then those of a plane (1, x, y), shape (n, k).
+        heights: Heights of the points, shape (n,).
+        left: Residuals of the heights, shape (n,).
+        amplitudes: Coefficients of the basis, shape (k,).
     """
 
     own: Float[np.ndarray, "n 3"]
@@ -238,7 +239,7 @@ class _Above(NamedTuple):
 
     @classmethod
     def of(cls, petal: PeonyPetal, free: Sequence[str], own: Float[np.ndarray, "n 3"]) -> _Above:
-        """Above a petal."""
+        """Fits the heights of points above a petal."""
         n = len(own)
         data = pad(own, np.ones(n), None)
         found = Heights.of(petal, free, data)
@@ -260,7 +261,7 @@ def _raised(
     origin: Float[np.ndarray, "3"],
     unit: float,
 ) -> Placed:
-    """The petal with the heights and the tilt that explain the points."""
+    """The petal with the amplitudes and the tilt that explain the points."""
     above = _Above.of(petal, free, (points[:_FEW] - origin) @ rotation / unit)
     *rise, level, a, b = above.amplitudes
     # The plane z = level + a x + b y is the petal's own.
@@ -276,10 +277,10 @@ def _raised(
 def _outlines(
     template: PeonyPetal, free: Sequence[str], xy: Float[np.ndarray, "n 2"]
 ) -> list[_Flat]:
-    """Outlines that may be the points', at different angles, the likeliest first."""
+    """Outlines that may fit the points, at different angles, the likeliest first."""
     far = np.asarray(KDTree(xy).query(xy, 9)[0])[:, -1]
     dense = xy[far <= _SPARSE * np.median(far)]
-    # The farthest few of the points may be strays.
+    # The farthest few of the points may be outliers.
     target = np.sort(dense @ _RAYS.T, axis=0)[-(1 + len(dense) // 128)]
     tolerance = _TOLERANCE * float(np.max(np.abs(target)))
     search = OutlineSearch.of(template, free)
@@ -309,7 +310,7 @@ def _refined(
     target: Float[np.ndarray, " d"],
     tolerance: float,
 ) -> _Flat:
-    """The best of some generations around an outline and its angle."""
+    """The best outline and angle from some generations around given ones."""
     reach = np.pi / _ROLLS
     for k in range(_GENERATIONS):
         values, extra = search.around(flat.values, 0.4 ** (k + 1), 1, 1)
@@ -324,7 +325,7 @@ def _refined(
 def _support(
     edges: Float[np.ndarray, "k m 2"], angles: Float[np.ndarray, " k"]
 ) -> Float[np.ndarray, "k d"]:
-    """How far outlines that are turned reach along the rays."""
+    """The support functions of outlines turned by angles: how far they reach along the rays."""
     cosine, sine = np.cos(angles)[:, None], np.sin(angles)[:, None]
     rays = np.stack(
         [cosine * _RAYS[:, 0] + sine * _RAYS[:, 1], cosine * _RAYS[:, 1] - sine * _RAYS[:, 0]]
@@ -335,7 +336,7 @@ def _support(
 def _scores(
     support: Float[np.ndarray, "*k d"], target: Float[np.ndarray, " d"], tolerance: float
 ) -> tuple[Float[np.ndarray, "*k"], Float[np.ndarray, "*k 2"]]:
-    """How badly outlines explain a support, each shifted to where it does best, and the shifts."""
+    """Misfits of outlines to a support function, each shifted to where it fits best, and the shifts."""
     gap = (target - support) / tolerance
     shift = np.zeros((*support.shape[:-1], 2))
     products = np.einsum("di,dj->dij", _RAYS, _RAYS).reshape(-1, 4)

@@ -1,6 +1,6 @@
-"""Ribs of peony petals: a periodogram finds all frequencies that a cloud or an outline leaves open.
+"""Ribs of peony petals: a periodogram finds all frequencies that a cloud or an outline allows.
 
-The cost has many basins along the rib frequency. What distances to a petal without ribs leave is
+The cost has many basins along the rib frequency. The distances to a petal without ribs are therefore
 compared with ribs of every frequency at once.
 """
 
@@ -29,9 +29,9 @@ class RibBasin(NamedTuple):
     """A peak of the periodogram.
 
     Attributes:
-        frequency: rib_frequency there.
-        amplitude: Its rib_amplitude by linear least squares.
-        gain: How much it lowers χ².
+        frequency: The rib_frequency of the peak.
+        amplitude: The rib_amplitude at this frequency, by linear least squares.
+        gain: The amount by which these ribs lower χ².
     """
 
     frequency: float
@@ -44,7 +44,7 @@ _CLEAR_LEAD = 50.0
 
 
 def close(basins: list[RibBasin]) -> list[RibBasin]:
-    """The best of them, which is the first, and its rivals."""
+    """The first basin, which is the best, and its rivals."""
     return [basin for basin in basins if basins[0].gain - basin.gain <= _CLEAR_LEAD]
 
 
@@ -59,23 +59,24 @@ def rib_periodogram(
     """Frequencies that explain best the normal distances to a petal without ribs, the best first.
 
     Args:
-        frequency: The only one to look at, if it is known.
-        distance: Normal distances of the cloud to the petal.
-        slope: How much of a height the distance is: the normal's part along the petal's z axis.
+        frequency: The frequency, if it is known; None to try all.
+        distance: Normal distances of the cloud from the petal.
+        slope: Distance for a height of 1: the component of the normal along the petal's z axis.
         weights: Weight of every point.
         uv: Foot points.
-        slopes: Of the distance, by the petal's other parameters, which are free to follow.
+        slopes: Derivatives of the distance with respect to the petal's other free parameters, which may
+            explain a part of it.
 
     Returns:
         From one to three peaks.
     """
-    # The midrib's flanks are steep: there a small shift of u is a large distance.
+    # On the steep flanks of the midrib, a small shift of u causes a large distance: weights are robust.
     scale = np.sum(weights * np.abs(distance)) / np.sum(weights) + 1e-300
     robust = weights / (1 + (distance / (3 * scale)) ** 2)
     frequencies = FREQUENCIES if frequency is None else np.array([frequency])
     root = np.sqrt(robust)
     waves, rest = root * slope * rib_waves(uv, frequencies), root * distance
-    # What the other parameters can explain is not for the ribs to explain.
+    # Distances that other parameters can explain are left out.
     basis = np.linalg.qr(root[:, None] * slopes)[0]
     waves, rest = waves - (waves @ basis) @ basis.T, rest - basis @ (basis.T @ rest)
     covariance, power = waves @ rest, np.sum(waves**2, axis=1) + 1e-300
@@ -87,7 +88,7 @@ def rib_periodogram(
 def rib_waves(
     uv: Float[np.ndarray, "n 2"], frequencies: Float[np.ndarray, " f"]
 ) -> Float[np.ndarray, "f n"]:
-    """Heights of ribs of amplitude 1, Eq. 8."""
+    """Heights of ribs of amplitude 1 by Eq. 8, for every frequency and place."""
     u, v = uv.T
     envelope = (1 - 2 * np.abs(v - 0.5)) * (1 - 2 * np.abs(u))
     return envelope * np.sin(np.outer(frequencies, (u + 0.5) * np.pi))
@@ -102,17 +103,17 @@ def rib_basins(
     """Peaks of a periodogram, the best first, from one to three.
 
     Args:
-        frequencies: At even distances, or a single one.
-        covariance: Of the ribs with what they are to explain.
-        power: Of the ribs.
-        variance: Of the noise, in whose units the gain is.
+        frequencies: Equally spaced frequencies, or a single one.
+        covariance: Scalar product of the ribs of each frequency with the distances.
+        power: Sum of squares of the ribs of each frequency.
+        variance: Variance of the noise, which is the unit of the gain.
     """
     amplitude, gain = covariance / power, covariance**2 / power
     before, after = np.append(0.0, gain[:-1]), np.append(gain[1:], 0.0)
     peaks = np.flatnonzero((gain >= before) & (gain > after))
-    # Where no distance is left to explain there is no peak, and any frequency will do.
+    # If there is no distance to explain there is no peak, and any frequency will do.
     peaks = peaks[np.argsort(-gain[peaks])][:_BASINS] if len(peaks) else [int(np.argmax(gain))]
-    # The vertex of a parabola through a peak and its neighbours.
+    # A frequency is refined to the vertex of a parabola through the peak and its neighbours.
     curvature = before + after - 2 * gain
     vertex = 0.5 * (before - after) / np.where(curvature < 0, curvature, np.inf)
     step = frequencies[1] - frequencies[0] if len(frequencies) > 1 else 0.0
@@ -132,13 +133,13 @@ def ribs_beside(
     cloud: ObservedCloud,
     term: AbstractTerm | None = None,
 ) -> list[RibBasin]:
-    """Ribs that a cloud's distances to a petal without any speak for, the best first."""
+    """Ribs that explain the distances of a cloud from a petal without ribs, the best first."""
     held = coordinates.holding(RIBS).around(smooth)
     return explaining(held, cloud.data, cloud.match(smooth, term).uv)
 
 
 def with_ribs(smooth: Surface, basin: RibBasin) -> tuple[str, Surface]:
-    """A petal without ribs with those of a basin, and a label for it."""
+    """A label, and the petal with the ribs of a basin added."""
     ribs = {"rib_frequency": basin.frequency, "rib_amplitude": basin.amplitude}
     return f"rib_frequency {basin.frequency:.2f}", with_values(smooth, ribs)
 
@@ -146,7 +147,10 @@ def with_ribs(smooth: Surface, basin: RibBasin) -> tuple[str, Surface]:
 def explaining(
     coordinates: Coordinates, data: Data, uv: Float[Array | np.ndarray, "n 2"]
 ) -> list[RibBasin]:
-    """Ribs that explain the distances of points to the coordinates' petal, which is free to follow."""
+    """Ribs that explain the distances of points from the coordinates' petal, the best first.
+
+    Distances that the free parameters of the petal can explain are left out.
+    """
     petal = coordinates.template
     seen = programs.linearise(coordinates, data, coordinates.inverse(petal), uv)
     fixed = "rib_frequency" not in coordinates.free

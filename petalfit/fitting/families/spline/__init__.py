@@ -1,1 +1,1 @@
-"""Spline sheets."""
+"""The family of spline surfaces."""

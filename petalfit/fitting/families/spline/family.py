@@ -1,4 +1,4 @@
-"""The family of spline sheets, whose many coefficients follow a scan closely and have no names."""
+"""The family of spline surfaces, whose many coefficients follow a scan closely and have no names."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from petalfit.surfaces import AbstractSurface
 
 
 class SplineFamily(AbstractFamily):
-    """Spline sheets: there is nothing to start from, and no parameter is free."""
+    """The family of spline surfaces. Their fits take no start, and no parameter is free."""
 
     kind: ClassVar[type[AbstractSurface]] = SplinePetal
     poses: ClassVar[tuple[str, ...]] = EVERY_POSE

@@ -1,4 +1,4 @@
-"""Smoothing of a spline sheet: linear solves for its coefficients between searches for foot points."""
+"""Fit of a smoothed spline surface: linear solves for coefficients between searches for foot points."""
 
 from __future__ import annotations
 
@@ -32,24 +32,24 @@ from petalfit.surfaces import Pose
 _SHAPE = (SEGMENTS[0] + 3, SEGMENTS[1] + 3)
 _COUNT = _SHAPE[0] * _SHAPE[1]
 _ROUNDS = 14
-_CLEARINGS = 3  # rounds more among clutter
+_CLEARINGS = 3  # additional rounds among clutter
 # The weight of bending falls from the first round to the last, as powers of ten.
 _STIFF, _LIMP = -3.3, -5.5
-_NODES = 33  # per side, where the sheet must lie near points
-_SLACK = 1.2  # spacings of the points
-_TIED = 1e-4  # how much coefficients stay where they are in directions that no distance tells
-_LENGTH = 10.0  # of a model whose unit is free
+_NODES = 33  # nodes per side at which the surface must lie near points
+_SLACK = 1.2  # distance of a node from all points that costs nothing, in spacings of the points
+_TIED = 1e-4  # weight that keeps coefficients in place in directions that no distance determines
+_LENGTH = 10.0  # length of a model whose unit is free
 _STRIPS = 24
 
 
 class Smoothed(NamedTuple):
-    """A sheet that follows its cloud.
+    """A spline surface that was fitted to a cloud.
 
     Attributes:
-        control: Coefficients that are places in the cloud's normalised frame, shape (k, 3).
-        mixture: Which points belong to the sheet; None if all do.
-        freedom: How many numbers the smoothed coefficients amount to.
-        rounds: How many iterations were made.
+        control: Coefficients, as places in the cloud's normalised frame, shape (k, 3).
+        mixture: The probability of each point to belong to the surface; None if all belong to it.
+        freedom: Effective number of parameters of the smoothed coefficients.
+        rounds: The number of iterations.
     """
 
     control: Float[np.ndarray, "k 3"]
@@ -59,7 +59,7 @@ class Smoothed(NamedTuple):
 
 
 def smooth(scan: Scan) -> Smoothed:
-    """Fit a spline sheet to a cloud: its coefficients are smoothed less and less."""
+    """Fits a spline surface to a cloud; its coefficients are smoothed less and less."""
     own, mass = scan.points, scan.weights
     inside, mixture = scan.likely, None
     report("flattening the cloud")
@@ -93,20 +93,20 @@ def smooth(scan: Scan) -> Smoothed:
 def _mixture(
     control: Float[np.ndarray, "k 3"], scan: Scan, background: AbstractBackground
 ) -> Mixture:
-    """Which points belong to the sheet of some coefficients."""
+    """The mixture of points that belong to the surface of given coefficients, and others."""
     surface = _surface(control)
     distance, beyond, _ = distances_beside(surface, scan.points)
     return background.mixture(surface, distance, beyond, scan.weights, scan.noise)
 
 
 def _surface(control: Float[np.ndarray, "k 3"]) -> SplinePetal:
-    """The sheet of coefficients that are places, not offsets."""
+    """The surface of coefficients that are places, not offsets."""
     zero = np.float64(0.0)
     return SplinePetal(a_x=zero, b_y=zero, c_z=zero, offsets=control.reshape(*_SHAPE, 3))
 
 
 class _Points:
-    """The cloud, and what it wants of the coefficients."""
+    """A cloud, with the equations for the coefficients that it gives."""
 
     def __init__(self, points: Float[np.ndarray, "n 3"], weights: Float[np.ndarray, " n"]) -> None:
         self.points, self.weights = points, weights
@@ -124,7 +124,7 @@ class _Points:
         stiffness: Float[np.ndarray, "k k"],
         iterations: int,
     ) -> tuple[Float[np.ndarray, "n 2"], _System]:
-        """Foot points on the sheet of some coefficients, and the equations of new ones there."""
+        """Foot points on the surface of given coefficients, and the equations for new coefficients."""
         surface, n = _surface(control), len(self.points)
         uv = np.asarray(programs.refine(surface, self.padded, self._padded(uv), iterations))
         here = programs.frames(surface, jnp.asarray(uv))
@@ -149,7 +149,7 @@ class _Points:
         return self.cloud.data.points
 
     def at(self, uv: Float[np.ndarray, "n 2"]) -> TangentDistance:
-        """The cloud with these foot points."""
+        """The term of the cloud with these foot points."""
         return self.cloud.at(self._padded(uv))
 
     def _padded(self, uv: Float[np.ndarray, "n 2"]) -> Float[Array, "m 2"]:
@@ -158,7 +158,7 @@ class _Points:
     def _add_emptiness(
         self, system: _System, control: Float[np.ndarray, "k 3"], total: float
     ) -> None:
-        """Nodes that lie far from all points are drawn to the nearest."""
+        """Adds equations that draw nodes far from all points to the nearest point."""
         places = self.nodes @ control
         area = areas_around(places.reshape(_NODES, _NODES, 3)).ravel()
         gap, nearest = map(np.asarray, self.tree.query(places))
@@ -191,7 +191,7 @@ class _System:
         target: Float[np.ndarray, " m"],
         weights: Float[np.ndarray, " m"],
     ) -> None:
-        """Places that should be so far along given directions."""
+        """Adds equations: places (`rows` of coefficients) should have `target` along `directions`."""
         root = np.sqrt(weights)
         slopes = rows[:, :, None] * directions[:, None, :] * root[:, None, None]
         slopes = slopes.reshape(len(rows), 3 * rows.shape[1])
@@ -199,7 +199,7 @@ class _System:
         self.right += slopes.T @ (target * root)
 
     def freedom(self) -> float:
-        """Trace of the matrix that makes fitted distances of the given ones."""
+        """Effective number of parameters: the trace of the matrix from given to fitted positions."""
         return len(self.matrix) - float(np.trace(np.linalg.solve(self.matrix, self.held)))
 
     def solved(self) -> Float[np.ndarray, "k 3"]:
@@ -207,7 +207,7 @@ class _System:
 
 
 def _rows(uv: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n k"]:
-    """What every coefficient contributes at given places."""
+    """The weight of every coefficient at given places."""
     first = (uv[:, 0] + 0.5, SEGMENTS[0]), (uv[:, 1], SEGMENTS[1])
     (i, across), (j, along) = (map(np.asarray, basis(jnp.asarray(x), n)) for x, n in first)
     rows = np.zeros((len(uv), *_SHAPE))
@@ -219,7 +219,7 @@ def _rows(uv: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n k"]:
 
 
 def _bending() -> Float[np.ndarray, "k k"]:
-    """Squares of the second differences of coefficients, summed over the sheet."""
+    """The matrix of the sum of squared second differences of the coefficients."""
 
     def squares(n: int, times: int) -> np.ndarray:
         step = np.diff(np.eye(n), times, axis=0)
@@ -234,7 +234,7 @@ def _bending() -> Float[np.ndarray, "k k"]:
 
 
 def _rectangle(plane: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
-    """(u, v) of a sheet that lies flat: v along its longer axis, u between its margins there."""
+    """(u, v) of flattened points: v runs along the longer axis, u between the margins at that v."""
     q, s = plane[:, 1], plane[:, 0]
     v = (s - s.min()) / np.ptp(s)
     place, low, high = [], [], []
@@ -252,9 +252,9 @@ def _rectangle(plane: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
 def in_own_frame(
     control: Float[np.ndarray, "k 3"], frame: NormalisedFrame, pose: str
 ) -> tuple[SplinePetal, Pose]:
-    """Offsets from the rectangle nearest to the sheet, and where that lies."""
+    """The petal with offsets from the rectangle nearest to the surface, and that rectangle's pose."""
     control = _base_first(control.reshape(*_SHAPE, 3))
-    # Coefficients of u and of v themselves.
+    # Coefficients by which the spline represents u and v themselves.
     u, v = ((np.arange(n) - 1) / segments for n, segments in zip(_SHAPE, SEGMENTS, strict=True))
     u = u - 0.5
     inner = control[1:-1, 1:-1]
@@ -284,11 +284,11 @@ def in_own_frame(
 
 
 def _base_first(control: Float[np.ndarray, "m n 3"]) -> Float[np.ndarray, "m n 3"]:
-    """The sheet with its narrower end at v = 0, and its hollow side up."""
+    """The coefficients in the order in which the narrower end is at v = 0, and the hollow side up."""
     widths = np.linalg.norm(control[-2] - control[1], axis=-1)
     if widths[1:3].sum() > widths[-3:-1].sum():
         control = control[:, ::-1]
-    # With the base fixed, exchanging the sides turns the normal over.
+    # Once the base is fixed, exchanging the sides turns the normal over.
     across, along = control[-2] - control[1], np.gradient(control, axis=1).mean(axis=0)
     up = np.cross(across, along).mean(axis=0)
     rise = (0.5 * (control[1] + control[-2]) - control[_SHAPE[0] // 2]).mean(axis=0)
