@@ -7,6 +7,7 @@ from typing import Any
 
 from petalfit.results.meaning import WithMeaning
 
+
 class WarningKind(WithMeaning):
     """The kind of a warning. Each member is the string that files hold.
 

@@ -40,7 +40,7 @@ class AbstractLoss(abc.ABC):
     """A loss: how a fit of a cloud treats points that may not belong to the surface.
 
     To add a loss, add a file to this folder and a line to `petalfit.fitting.outliers.registry`. Every
-    family that has one surface can then be fitted with it to a single cloud.
+    family that has one surface can then be fitted with it, alone or jointly.
 
     Attributes:
         name: The value of `loss=` that selects this loss.
