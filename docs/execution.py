@@ -32,7 +32,9 @@ def begin(app: object) -> None:
 def executed(text: str) -> NotebookNode:
     """A notebook with the outputs of its run; what a cell raises is raised."""
     notebook = _read(text)
-    outputs = iter(_cells(_running[_code(notebook)].result()))
+    ran = _running[_code(notebook)].result()
+    notebook.metadata.update(ran.metadata)  # which language it is in
+    outputs = iter(_cells(ran))
     for cell in _cells(notebook):
         cell.update(next(outputs), id=cell.id)
     return notebook
