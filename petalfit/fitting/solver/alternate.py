@@ -79,4 +79,9 @@ def minimise(
 
 def whiten(information: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p"]:
     """The whitening matrix W, for which W Wᵀ is the inverse of the information."""
-    return np.linalg.inv(np.linalg.cholesky(information)).T
+    try:
+        return np.linalg.inv(np.linalg.cholesky(information)).T
+    except np.linalg.LinAlgError:
+        # A hopeless start makes some directions count so much that rounding loses all others.
+        values, vectors = np.linalg.eigh(information)
+        return vectors / np.sqrt(np.maximum(values, np.finfo(float).eps * values[-1]))
