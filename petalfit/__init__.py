@@ -1,6 +1,6 @@
-"""petalfit: flowers from a few named numbers, and the numbers back from a target.
+"""petalfit grows flowers from a few named numbers, and fits those numbers to a target.
 
-Names are imported when they are first used: `import petalfit` costs milliseconds, not jax.
+Names are imported when they are first used, so `import petalfit` takes milliseconds and loads no jax.
 """
 
 import lazy_loader

@@ -1,4 +1,4 @@
-"""`python -m petalfit` is the command line."""
+"""Runs the command line, for `python -m petalfit`."""
 
 import sys
 

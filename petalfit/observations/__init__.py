@@ -1,4 +1,4 @@
-"""What is seen: plain data, checked once on the way in. Nothing here knows a model."""
+"""Observations: plain data that are checked once when they are read. Nothing here knows a model."""
 
 from petalfit.observations.camera import Camera as Camera
 from petalfit.observations.contour import Contour as Contour

@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all."""
+"""Writing a file completely or not at all."""
 
 import os
 import secrets
@@ -9,28 +9,28 @@ from pathlib import Path
 
 @contextmanager
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Yields a path to write to, which takes the place of `path` when the block ends well.
+    """Yields a path to write to, which replaces `path` when the block ends without an error.
 
     The temporary path lies in the same folder, so that the last step is a rename within one file
-    system, and has the same suffix, so that writers that look at the suffix work. If the block
-    raises anything, `KeyboardInterrupt` included, the temporary file is removed and whatever
-    `path` held before is untouched.
+    system, and has the same suffix, because some writers look at the suffix. If the block
+    raises anything, `KeyboardInterrupt` included, the temporary file is removed and the previous
+    content of `path` is kept.
 
     Args:
-        path: the file to write. A symbolic link is followed, not replaced.
+        path: The path of the file to write. A symbolic link is followed, not replaced.
 
     Yields:
-        The temporary path. Nothing exists there yet.
+        The temporary path, at which no file exists yet.
 
     Raises:
         OSError: `path` exists and is not a regular file, or the folder cannot be written to.
     """
-    # Without realpath the rename would put a file where the link was.
+    # Without realpath the rename would replace the link by a file.
     final = Path(os.path.realpath(path))
     # A rename onto /dev/null, as root, would replace the device.
     if final.exists() and not final.is_file():
         raise OSError(f"{path} exists and is not a regular file; choose another name.")
-    # Not tempfile.mkstemp: it makes files that only their owner may read.
+    # tempfile.mkstemp is not used, because it makes files that only their owner may read.
     temporary = final.with_name(f".petalfit-{secrets.token_hex(8)}{final.suffix}")
     try:
         yield temporary

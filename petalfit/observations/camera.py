@@ -1,7 +1,7 @@
-"""Cameras: how points in space become places in an image. OpenCV's conventions throughout.
+"""Cameras: the projection of points in space into an image, in the conventions of OpenCV.
 
-x runs right, y down and z forward; pixel (row i, column j) covers [j, j + 1) × [i, i + 1), with its
-centre at (j + ½, i + ½).
+x points right, y down and z forward. Pixel (row i, column j) covers [j, j + 1) × [i, i + 1); its
+centre is at (j + ½, i + ½).
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from jaxtyping import Float, Float64
 from petalfit.observations.errors import TargetError
 from petalfit.observations.validation import ArrayLike
 
-# An image of more pixels is taken for a mistake.
+# An image with more rows or columns is taken for a mistake.
 LARGEST_SIDE = 32768
-_ORTHONORMAL = 1e-5  # what rotations that were written with six digits keep
+_ORTHONORMAL = 1e-5  # tolerance of R Rᵀ = I, met by rotations that were written with six digits
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
@@ -25,11 +25,13 @@ class Camera:
     """An orthographic or a perspective camera, made by `orthographic`, `perspective` or `look_at`.
 
     Attributes:
-        matrix: (3, 4), from homogeneous places in space to homogeneous places in the image, in
-            pixels; its last row is (0, 0, 0, 1) for an orthographic camera.
-        rotation: (3, 3), from the world's frame to the camera's: X_camera = rotation X + translation.
-        translation: (3,), in the world's unit of length; the third is 0 for an orthographic camera.
-        shape: Rows and columns of the image.
+        matrix: The (3, 4) matrix from homogeneous coordinates in space to homogeneous coordinates in
+            the image, in pixels; its last row is (0, 0, 0, 1) for an orthographic camera.
+        rotation: The (3, 3) rotation from the world's frame to the camera's:
+            X_camera = rotation X + translation.
+        translation: (3,), in the world's unit of length; its third component is 0 for an orthographic
+            camera.
+        shape: The numbers of rows and columns of the image.
     """
 
     matrix: Float64[np.ndarray, "3 4"]
@@ -50,7 +52,7 @@ class Camera:
 
     @property
     def is_orthographic(self) -> bool:
-        """Whether rays are parallel."""
+        """Whether the camera is orthographic: its rays are parallel."""
         return bool(self.matrix[2, 3] == 1 and not self.matrix[2, :3].any())
 
     @classmethod
@@ -61,16 +63,16 @@ class Camera:
         centre: ArrayLike,
         shape: tuple[int, int],
     ) -> Camera:
-        """A camera with parallel rays: X is seen at pixels_per_unit · (R X)_xy + centre.
+        """An orthographic camera: X appears at pixels_per_unit · (R X)_xy + centre.
 
         Args:
             rotation: R, (3, 3), from the world's frame to the camera's.
-            pixels_per_unit: Pixels to one unit of length, positive.
-            centre: (x, y) in pixels, where the world's origin is seen.
-            shape: Rows and columns of the image.
+            pixels_per_unit: The number of pixels per unit of length, positive.
+            centre: The place (x, y) of the world's origin in the image, in pixels.
+            shape: The numbers of rows and columns of the image.
 
         Raises:
-            TargetError: An argument is no such thing.
+            TargetError: An argument is invalid; the message says which one and why.
         """
         rotation = _valid_rotation(rotation)
         centre = _finite(centre, (2,), "centre")
@@ -95,16 +97,16 @@ class Camera:
         translation: ArrayLike,
         shape: tuple[int, int],
     ) -> Camera:
-        """A pinhole camera: X is seen at the first two of K (R X + t) divided by the third.
+        """A pinhole camera: with y = K (R X + t), X appears at (y₁, y₂)/y₃.
 
         Args:
-            K: Intrinsics, (3, 3): [[f_x, skew, c_x], [0, f_y, c_y], [0, 0, 1]] in pixels.
+            K: The intrinsic matrix, (3, 3): [[f_x, skew, c_x], [0, f_y, c_y], [0, 0, 1]] in pixels.
             rotation: R, (3, 3), from the world's frame to the camera's.
             translation: t, (3,), in the world's unit of length.
-            shape: Rows and columns of the image.
+            shape: The numbers of rows and columns of the image.
 
         Raises:
-            TargetError: An argument is no such thing.
+            TargetError: An argument is invalid; the message says which one and why.
         """
         intrinsics = _finite(K, (3, 3), "K")
         upper = not intrinsics[np.tril_indices(3, -1)].any() and intrinsics[2, 2] != 0
@@ -133,18 +135,19 @@ class Camera:
         field_of_view: float = 0.7,
         pixels_per_unit: float | None = None,
     ) -> Camera:
-        """A camera at `eye` with `target` in the middle of its image.
+        """A camera at `eye` that shows `target` in the middle of its image.
 
         Args:
-            eye: Where it stands, (3,). For an orthographic camera only the direction counts.
-            target: What it looks at, (3,).
-            shape: Rows and columns of the image.
-            up: What is up in the image, (3,), not along the line of sight.
-            field_of_view: Angle from the left to the right edge, in radians, below π.
+            eye: The place of the camera, (3,). For an orthographic camera only the direction from the
+                target counts.
+            target: The place that the camera looks at, (3,).
+            shape: The numbers of rows and columns of the image.
+            up: The direction that points up in the image, (3,); it must not lie along the line of sight.
+            field_of_view: The angle from the left to the right edge of the image, in radians, below π.
             pixels_per_unit: If given, the camera is orthographic with this scale.
 
         Raises:
-            TargetError: An argument is no such thing.
+            TargetError: An argument is invalid; the message says which one and why.
         """
         eye, target = _finite(eye, (3,), "eye"), _finite(target, (3,), "target")
         forward, up = target - eye, _finite(up, (3,), "up")
@@ -169,18 +172,19 @@ class Camera:
         return cls.perspective(intrinsics, rotation, -rotation @ eye, shape)
 
     def to_json(self) -> dict[str, Any]:
-        """All that it is, for `from_json`."""
+        """The camera as lossless JSON, for `from_json`."""
         arrays = {name: getattr(self, name).tolist() for name in ("matrix", "rotation")}
         return arrays | {"translation": self.translation.tolist(), "shape": list(self.shape)}
 
     @classmethod
     def from_json(cls, content: Any) -> Camera:
-        """A camera from its JSON: what `to_json` made, or the arguments of a constructor.
+        """A camera from its JSON: the result of `to_json`, or the arguments of a constructor.
 
-        With `pixels_per_unit` these are `orthographic`'s, with `K` they are `perspective`'s.
+        An object with `pixels_per_unit` holds the arguments of `orthographic`, one with `K` those of
+        `perspective`.
 
         Raises:
-            TargetError: It is no camera.
+            TargetError: The content does not describe a camera.
         """
         try:
             fields = dict(content)
@@ -204,15 +208,15 @@ class Camera:
             ) from None
 
     def project(self, points: Float[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 2"]:
-        """Where points are seen, (x, y) in pixels; meaningless for points that are not in front."""
+        """Projects points into the image, (x, y) in pixels; meaningless for points behind the camera."""
         seen = points @ self.matrix[:, :3].T + self.matrix[:, 3]
         return seen[..., :2] / seen[..., 2:]
 
     def depth(self, points: Float[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n"]:
-        """Distance along the line of sight, in the world's unit of length.
+        """The distance of points along the line of sight, in the world's unit of length.
 
-        From the eye of a perspective camera, positive in front of it; for an orthographic camera from
-        the plane through the world's origin.
+        It is measured from the eye of a perspective camera, positive in front of it, and from the plane
+        through the world's origin for an orthographic camera.
         """
         return points @ self.rotation[2] + self.translation[2]
 
@@ -242,7 +246,7 @@ def _valid_rotation(rotation: ArrayLike, *, exact: bool = False) -> np.ndarray:
             "rotation mirrors: its determinant is −1, expected +1. From a convention with y up or z "
             "backwards, change the sign of two axes, not of one."
         )
-    if exact:  # by an earlier call
+    if exact:  # an earlier call has made it orthonormal
         return array
     u, _, v = np.linalg.svd(array)
     return u @ v

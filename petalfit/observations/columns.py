@@ -1,4 +1,4 @@
-"""Tables of numbers as point clouds: which column means what, and delimited text."""
+"""Tables of numbers as point clouds: the meaning of their columns, and delimited text."""
 
 from array import array
 from pathlib import Path
@@ -9,12 +9,12 @@ from jaxtyping import Float64
 
 from petalfit.observations.errors import TargetError
 
-# Unit normals written with two decimals are off by up to 1 %; colours are off by far more.
+# Unit normals written with two decimals deviate from length 1 by up to 1 %; colours by far more.
 UNIT_TOLERANCE = 0.05
 
 
 class Columns(TypedDict):
-    """The fields of a `PointCloud`, before anything is checked."""
+    """The fields of a `PointCloud`, before they are checked."""
 
     points: np.ndarray
     normals: np.ndarray | None
@@ -26,8 +26,8 @@ def unnamed_columns(table: Float64[np.ndarray, "n k"]) -> Columns:
     """Reads the columns of a table without column names by their position.
 
     Args:
-        table: (N, k), k ≥ 3. The first three columns are x, y, z. Three more are a normal if in
-            every row they have unit length (or are all zero: unknown); otherwise they are taken
+        table: (N, k), k ≥ 3. The first three columns are x, y, z. Three more are a normal if they
+            have unit length in every row (or are all zero, for unknown); otherwise they are taken
             for a colour and ignored, as is any other number of further columns.
 
     Returns:
@@ -45,7 +45,7 @@ def named_columns(table: Float64[np.ndarray, "n k"], names: list[str]) -> Column
     """Reads the columns of a table by their names.
 
     Args:
-        table: (N, k).
+        table: The table, (N, k).
         names: k names in lower case: x, y, z; optionally nx, ny, nz, weight (or weights), and red,
             green, blue (or r, g, b), from 0 to 1 or from 0 to 255. Other columns are ignored.
 
@@ -63,7 +63,7 @@ def named_columns(table: Float64[np.ndarray, "n k"], names: list[str]) -> Column
 
 
 def _colours(column: dict[str, Float64[np.ndarray, " n"]]) -> Float64[np.ndarray, "n 3"] | None:
-    """From 0 to 1, whatever the table counts to."""
+    """The colours of a table, scaled to 0 to 1 if the table counts to 255."""
     for names in ("red", "green", "blue"), ("r", "g", "b"):
         if set(names) <= column.keys():
             colours = np.column_stack([column[name] for name in names])
@@ -72,21 +72,21 @@ def _colours(column: dict[str, Float64[np.ndarray, " n"]]) -> Float64[np.ndarray
 
 
 def read_text(path: Path) -> Columns:
-    """Reads delimited text: a point a line, its numbers between commas, semicolons or white space.
+    """Reads delimited text: one point per line, its numbers between commas, semicolons or white space.
 
-    Between semicolons a comma is a decimal point, as spreadsheets write it in half of Europe.
-    What follows a # is a comment. The first line may be a header; one that names x, y and z, which
-    may also be a comment that begins with them, says which column is which (`named_columns`).
-    Otherwise the position does (`unnamed_columns`).
+    Between semicolons a comma is a decimal point, as spreadsheets write it in half of Europe. A #
+    begins a comment. The first line may be a header. If a header names x, y and z (it may then also be
+    a comment that begins with these names), columns are identified by name (`named_columns`), otherwise
+    by position (`unnamed_columns`).
 
     Args:
-        path: the file, in UTF-8 as far as it matters.
+        path: The path of the file. Bytes that are not UTF-8 are replaced.
 
     Returns:
         The columns.
 
     Raises:
-        TargetError: a line is not made of numbers or has another number of columns than the lines
+        TargetError: A line does not consist of numbers or has another number of columns than the lines
             before it, or there are no points.
     """
     values, width, names = array("d"), 0, None
@@ -119,7 +119,7 @@ def read_text(path: Path) -> Columns:
 
 
 def _header(line: str) -> list[str] | None:
-    """The column names in a line, in lower case, or None if it is no header."""
+    """The column names in a line, in lower case, or None if the line is not a header."""
     # CloudCompare begins its header with //.
     names = [name.strip("\"' \t\n\r").lower() for name in _fields(line.lstrip("#/ \t"))]
     if names[:3] == ["x", "y", "z"]:
@@ -148,13 +148,13 @@ def _is_number(text: str) -> bool:
 
 
 def _line_error(number: int, line: str, complaint: str) -> TargetError:
-    """A TargetError about one line."""
+    """The error for an invalid line of a file."""
     return TargetError(
         f"line {number} has {complaint}: {_shown(line)}; correct it, or comment it out with #."
     )
 
 
 def _shown(text: str) -> str:
-    """Text in quotes, as much of it as fits on a line."""
+    """Text in quotes, cut to 60 characters."""
     text = text.strip()
     return repr(text) if len(text) <= 60 else f"{text[:60]!r}…"

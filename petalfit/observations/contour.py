@@ -1,4 +1,4 @@
-"""The contour of a silhouette, to a fraction of a pixel."""
+"""The contour of a silhouette, located to a fraction of a pixel."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from petalfit.observations.camera import Camera
 from petalfit.observations.errors import TargetError
 from petalfit.observations.silhouette import Silhouette
 
-_MOST = 2048  # places; a longer contour is sampled more widely
-_REACH = 3.0  # steps to either side, between which a tangent is taken
-_SPECK = 0.05  # of the longest contour, below which another one is a speck or a pinhole
-_BORDER = 1  # pixels from the border of the image, where the contour is the image's
+_MOST = 2048  # the largest number of places; a longer contour is sampled more widely
+_REACH = 3.0  # steps to either side of a place, between which its tangent is taken
+_SPECK = 0.05  # a contour below this fraction of the longest is that of a speck or a pinhole
+_BORDER = 1  # pixels along the border, where the contour is that of the image and not of the petal
 _FEWEST = 12
 
 
 @dataclass(frozen=True, eq=False)
 class Contour:
-    """Places where coverage is one half, evenly spaced.
+    """Evenly spaced places on the contours where the coverage is one half.
 
     Attributes:
-        camera: What took the silhouette; for one without a camera, a camera that maps x and y of the
-            target's frame to pixels unchanged.
-        place: In pixels, shape (n, 2).
+        camera: The camera of the silhouette; for a silhouette without one, a camera that maps x and y of
+            the target's frame to pixels unchanged.
+        place: The places (x, y) in pixels, shape (n, 2).
         normal: Unit normals that point out of the petal, shape (n, 2).
-        length: How much of the contour each place stands for, in pixels, times its weight, shape (n,).
+        length: The length of contour that each place stands for, in pixels, times its weight, shape (n,).
         binary: Whether the mask was black and white.
     """
 
@@ -43,7 +43,7 @@ class Contour:
         """The contour of a silhouette.
 
         Raises:
-            TargetError: Too little of it can be trusted.
+            TargetError: Too little of the contour can be trusted.
         """
         mask = silhouette.mask
         camera = silhouette.camera
@@ -62,11 +62,11 @@ class Contour:
 
     @property
     def size(self) -> float:
-        """Diagonal of the box around the contour, in pixels."""
+        """The diagonal of the bounding box of the contour, in pixels."""
         return float(np.hypot(*np.ptp(self.place, axis=0)))
 
     def trust(self, places: Float[np.ndarray, "n 2"]) -> Float64[np.ndarray, " n"]:
-        """Weight of the mask at places of the image; 0 outside of it and along its border."""
+        """The weights of the mask at places of the image; 0 outside the image and along its border."""
         rows, columns = self._weights.shape
         column, row = np.floor(places).astype(int).T
         inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
@@ -77,16 +77,16 @@ class Contour:
 def trace(
     mask: Shaped[np.ndarray, "h w"],
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"], Float[np.ndarray, " n"]]:
-    """Places along the contours at one half, normals out of what is covered, and lengths, in pixels."""
+    """Places along the contours at coverage ½, outward normals, and lengths, all in pixels."""
     from skimage.measure import find_contours
 
     if not mask.any():
         return np.empty((0, 2)), np.empty((0, 2)), np.empty(0)
-    # Only where there is something: large images are mostly background.
+    # Contours are sought only in the box around the object: large images are mostly background.
     rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
     top, left = max(rows[0] - 1, 0), max(columns[0] - 1, 0)
     inner = mask[top : rows[-1] + 2, left : columns[-1] + 2]
-    # Rows and columns of pixels' centres to x and y.
+    # scikit-image gives rows and columns of pixel centres, which become x and y.
     curves = [curve[:, ::-1] + (left + 0.5, top + 0.5) for curve in find_contours(inner, 0.5)]
     runs = [np.append(0.0, np.cumsum(np.hypot(*np.diff(curve, axis=0).T))) for curve in curves]
     longest = max((run[-1] for run in runs), default=0.0)
@@ -96,14 +96,14 @@ def trace(
     if not pieces:
         return np.empty((0, 2)), np.empty((0, 2)), np.empty(0)
     place, tangent, length = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
-    # scikit-image goes round so that what is covered lies on one and the same side of the contour.
+    # scikit-image runs along every contour with the covered area on the same side.
     return place, np.stack([tangent[:, 1], -tangent[:, 0]], axis=-1), length
 
 
 def _evenly(
     curve: np.ndarray, run: np.ndarray, step: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Places, unit tangents and lengths at even distances along a polygon."""
+    """Evenly spaced places along a polygon, with unit tangents and lengths."""
     total, closed = run[-1], bool(np.all(curve[0] == curve[-1]))
     count = max(4, round(total / step))
     along = (np.arange(count) + 0.5) * total / count
@@ -118,7 +118,7 @@ def _evenly(
 
 
 def _trusted(silhouette: Silhouette) -> np.ndarray:
-    """Weights of the pixels; 0 next to those of weight 0, and along the border of the image."""
+    """The weights of the pixels; 0 next to pixels of weight 0, and along the border of the image."""
     from scipy.ndimage import minimum_filter
 
     weights = silhouette.weights

@@ -1,8 +1,8 @@
-"""The one exception that unusable input raises."""
+"""The exception that unusable input raises."""
 
 
 class TargetError(ValueError):
-    """What was given to fit cannot be used.
+    """A target that cannot be used.
 
-    The message says in a sentence or two what was wrong, what was expected and what to do.
+    The message says in one or two sentences what was wrong, what was expected and what to do.
     """

@@ -1,4 +1,4 @@
-"""A file as what it holds."""
+"""Reading a target from a file of any kind."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from petalfit.observations.silhouette import Silhouette
 def read_target(
     path: str | os.PathLike[str], camera: Camera | None = None
 ) -> PointCloud | Silhouette:
-    """A mask if it is an image, else a cloud.
+    """Reads an image as a mask, and any other file as a point cloud.
 
     Args:
-        path: Of the file.
-        camera: Of a mask.
+        path: The path of the file.
+        camera: The camera of the mask, if the file is an image.
 
     Raises:
-        TargetError: It cannot be read, or used.
+        TargetError: The file cannot be read, or its content cannot be used.
     """
     if Path(path).suffix.lower() in IMAGE_SUFFIXES:
         return Silhouette.load(path, camera)

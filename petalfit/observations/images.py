@@ -1,4 +1,4 @@
-"""Image files, opened the same way whatever is then read from them."""
+"""Opening image files: masks, photos and textures share one way and its errors."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".gif", ".webp", ".jpg", ".jp
 
 @contextmanager
 def opened_image(path: str | os.PathLike[str]) -> Iterator[Image]:
-    """The image while it is open; its pixels are to be read within the block.
+    """Yields an open image; its pixels must be read within the block.
 
     Raises:
         TargetError: The file does not exist, or cannot be read as an image.

@@ -1,4 +1,4 @@
-"""What every kind of observation answers: size, unit, digest, JSON, and which of its data count."""
+"""The abstract observation: its size, unit, digest and JSON, and which of its data count."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from petalfit.observations.errors import TargetError
 
 
 class AbstractObservation(abc.ABC):
-    """Something that was seen of a surface, and that a fit compares with it.
+    """Data that were observed of a surface, which a fit compares with the surface.
 
-    A new kind is a subclass. It is registered under its `kind`, by which files name it; residuals,
-    pictures and controls of the kind are registered where they are made
+    A new kind is a subclass. It is registered under its `kind`, the name that files use; the residuals,
+    pictures and controls of the kind are registered where they are defined
     (`petalfit.fitting.likelihood.observing`, `petalfit.report.shown`, `petalfit.studio.drawn`).
 
     Attributes:
-        kind: The word for it in files and reports, "cloud" for instance.
-        unit: The unit of its distances: "length", the target's, or "px".
+        kind: The name of the kind in files and reports, for instance "cloud".
+        unit: The unit of its distances: "length" (the target's unit of length) or "px".
     """
 
     kind: ClassVar[str]
@@ -36,42 +36,42 @@ class AbstractObservation(abc.ABC):
     @property
     @abc.abstractmethod
     def size(self) -> float:
-        """The diagonal of what was seen, in the unit of the distances."""
+        """The diagonal of the observed object, in the unit of the distances."""
 
     @property
     @abc.abstractmethod
     def extent(self) -> Float64[np.ndarray, " d"]:
-        """The sides of the box that holds it, or of its image, in the unit of the distances; (d,)."""
+        """The sides of its bounding box or of its image, in the unit of the distances; (d,)."""
 
     @property
     @abc.abstractmethod
     def described(self) -> str:
-        """What it is, in a few words with its numbers: "2,000 points" for instance."""
+        """A description in a few words with its numbers, for instance "2,000 points"."""
 
     @abc.abstractmethod
     def arrays(self) -> tuple[dict[str, Any], list[Float64[np.ndarray, "..."] | None]]:
-        """All that a fit looks at: what is no array, as JSON, and the arrays."""
+        """All data that a fit uses: first those that are not arrays, as JSON, then the arrays."""
 
     @abc.abstractmethod
     def to_json(self) -> dict[str, Any]:
-        """The observation as JSON holds it, lossless; "kind" is its kind."""
+        """The observation as lossless JSON; the member "kind" names its kind."""
 
     @classmethod
     @abc.abstractmethod
     def from_json(cls, content: dict[str, Any]) -> AbstractObservation:
-        """The observation that `to_json` described."""
+        """The observation that `to_json` has described."""
 
     def used(self, weights: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-        """Which data count, given the weights that they had at the end of a fit."""
+        """A mask of the data that count, given their weights at the end of a fit."""
         return weights > 0
 
     def outliers(self, weights: Float64[np.ndarray, " n"]) -> int:
-        """How many data a fit takes for outliers, given the weights that they had at its end."""
+        """The number of data that a fit treats as outliers, given their weights at its end."""
         del weights
         return 0
 
     def each_once(self) -> AbstractObservation:
-        """The same without data that repeat others, which are no observations more."""
+        """The observation without duplicates, which are not additional observations."""
         return self
 
     def counting(self, weights: Float64[np.ndarray, " n"]) -> AbstractObservation:
@@ -80,7 +80,7 @@ class AbstractObservation(abc.ABC):
         return self
 
     def content(self) -> Iterator[bytes]:
-        """The numbers that a fit looks at, for a digest: the same for the same data."""
+        """The data that a fit uses, as bytes for a digest; equal data give equal bytes."""
         head, arrays = self.arrays()
         yield json.dumps([type(self).__name__, _shapes(arrays), *head.values()]).encode()
         for array in arrays:
@@ -93,10 +93,10 @@ def _shapes(arrays: list[Float64[np.ndarray, "..."] | None]) -> list[tuple[int, 
 
 
 def observation_from_json(content: dict[str, Any]) -> AbstractObservation:
-    """The observation of whatever kind that a file describes.
+    """The observation, of any kind, that a file describes.
 
     Raises:
-        TargetError: The kind is not known.
+        TargetError: The kind is unknown.
     """
     kind = AbstractObservation.kinds.get(content["kind"])
     if kind is None:

@@ -1,4 +1,4 @@
-"""From a photo to a mask: which pixels belong to the petal, or the flower, that somebody means."""
+"""Segmentation of a photo: a mask of the pixels that belong to one petal or one flower."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from jaxtyping import Bool, Float
 from petalfit.observations.errors import TargetError
 from petalfit.observations.images import opened_image
 
-_WORKING_SIDE = 400  # pixels: shapes are found on a smaller image, edges on the photo itself
+_WORKING_SIDE = 400  # pixels; shapes are found in a smaller image, edges in the photo itself
 _CLUSTERS = 6
-_STIFFNESS = 300.0  # of the random walker: how much a change of colour holds it up
-_SMALLEST = 1e-3  # of the image
+_STIFFNESS = 300.0  # the random walker's beta: how strongly a change of colour impedes it
+_SMALLEST = 1e-3  # the smallest area of an object, as a fraction of the image
 _PASSES = 2
-_NECK = 0.25  # half as wide as this, relative to the thickest part, two things only touch
+_NECK = 0.25  # half width of a neck between two objects, relative to the thickest part's, at most
 
 
 def read_photo(path: str | os.PathLike[str]) -> Float[np.ndarray, "h w c"]:
-    """The colours of an image from 0 to 1, and its alpha channel if that says anything.
+    """Reads the colours of an image from 0 to 1, and its alpha channel unless that is constant.
 
     Raises:
         TargetError: The file cannot be read as an image.
@@ -29,7 +29,7 @@ def read_photo(path: str | os.PathLike[str]) -> Float[np.ndarray, "h w c"]:
     from PIL import ImageOps
 
     with opened_image(path) as opened:
-        image = ImageOps.exif_transpose(opened)  # as people see it, not as the camera was held
+        image = ImageOps.exif_transpose(opened)  # upright, whichever way the camera was held
         array = np.asarray(image.convert("RGBA"), np.float64) / 255
     return array if np.ptp(array[..., 3]) > 0 else array[..., :3]
 
@@ -37,22 +37,22 @@ def read_photo(path: str | os.PathLike[str]) -> Float[np.ndarray, "h w c"]:
 def segment(
     photo: Float[np.ndarray, "h w c"], points: Sequence[tuple[float, float]] = ()
 ) -> Bool[np.ndarray, "h w"]:
-    """The mask of one object in a photo.
+    """Finds the mask of one object in a photo.
 
-    An alpha channel is taken as it is. Otherwise the colours along the border are the background's
-    and, if points are given, those around them the object's; a random walker on the colours then finds
-    where one ends and the other begins.
+    An alpha channel is used as the mask. Otherwise the colours along the border are taken for those of
+    the background and, if points are given, the colours around them for those of the object; a random
+    walker on the colours then finds the boundary between the two.
 
     Args:
         photo: Colours from 0 to 1, (H, W, 3), or (H, W, 4) with an alpha channel.
-        points: Places (x, y) in pixels that lie on the object. Without them it is what differs most
-            from the border of the photo, the largest piece of it.
+        points: Places (x, y) in pixels that lie on the object. Without points, the object is the largest
+            region whose colours differ most from the border of the photo.
 
     Returns:
-        True on the object: one piece without holes.
+        A mask that is true on the object, which is one piece without holes.
 
     Raises:
-        TargetError: A point lies outside the photo, or nothing stands out.
+        TargetError: A point lies outside the photo, or no object stands out.
     """
     from skimage.color import rgb2lab
     from skimage.transform import resize
@@ -75,7 +75,7 @@ def segment(
     border[:rim], border[-rim:], border[:, :rim], border[:, -rim:] = True, True, True, True
     inside = _near(seeds, shape, 0.03)
     evidence = _evidence(lab, inside, border & ~inside) if seeds else _standing_out(lab, border)
-    # The colours of what was found find the rest of it.
+    # The colours of the region found so far help to find the rest of the object.
     for _ in range(_PASSES):
         found = _one_piece(_walk(lab, evidence, seeds) >= 0.5, seeds)
         evidence = _evidence(lab, found, ~found)
@@ -84,7 +84,7 @@ def segment(
 
 
 def _standing_out(lab: np.ndarray, border: np.ndarray) -> np.ndarray:
-    """Evidence for what differs from the border, by colour alone."""
+    """Evidence from −1 to 1 that a pixel's colour differs from those of the border."""
     from skimage.filters import gaussian, threshold_otsu
 
     away = gaussian(_distance_to_colours(lab, border, ~border), 1.5)
@@ -97,7 +97,7 @@ def _standing_out(lab: np.ndarray, border: np.ndarray) -> np.ndarray:
 
 
 def _evidence(lab: np.ndarray, inside: np.ndarray, outside: np.ndarray) -> np.ndarray:
-    """Between −1 and 1: whether a pixel's colour is rather one of those inside or of those outside."""
+    """Evidence from −1 to 1 that a pixel has one of the colours inside rather than outside."""
     from skimage.filters import gaussian
 
     own, other = _distance_to_colours(lab, inside), _distance_to_colours(lab, outside, inside)
@@ -115,10 +115,10 @@ def _near(seeds: list[tuple[float, float]], shape: tuple[int, int], reach: float
 def _distance_to_colours(
     lab: np.ndarray, where: np.ndarray, elsewhere: np.ndarray | None = None
 ) -> np.ndarray:
-    """Distance to the nearest of the typical colours of a region, in units of their spread.
+    """The distance to the nearest typical colour of a region, in units of that colour's spread.
 
-    Colours that are more frequent elsewhere are not this region's: another flower in the background
-    does not make the background orange.
+    Colours that are more frequent in `elsewhere` are not counted for the region: another orange flower
+    in the background does not make orange a background colour.
     """
     from scipy.cluster.vq import kmeans2, vq
 
@@ -139,7 +139,7 @@ def _distance_to_colours(
 
 
 def _walk(lab: np.ndarray, evidence: np.ndarray, seeds: list[tuple[float, float]]) -> np.ndarray:
-    """The probability of the object by a random walk from the surest pixels of either kind."""
+    """The probability of the object, by a random walk from the most certain pixels of either kind."""
     from skimage.segmentation import random_walker
 
     markers = np.zeros(evidence.shape, int)
@@ -163,9 +163,9 @@ def _walk(lab: np.ndarray, evidence: np.ndarray, seeds: list[tuple[float, float]
 
 
 def _one_piece(mask: np.ndarray, points: list[tuple[float, float]]) -> np.ndarray:
-    """The piece with the first point, or else the largest, smooth and without holes.
+    """The piece with the first point, or else the largest piece, smoothed and with its holes filled.
 
-    Pieces that hang together by a neck are cut apart there.
+    Pieces that are joined by a narrow neck are cut apart there.
     """
     from scipy import ndimage
     from skimage.measure import label
@@ -191,7 +191,7 @@ def _one_piece(mask: np.ndarray, points: list[tuple[float, float]]) -> np.ndarra
 
 
 def _chosen(labels: np.ndarray, points: list[tuple[float, float]]) -> int:
-    """The label under the first point that lies on anything, or else the most frequent one."""
+    """The label under the first point that has one, or else the most frequent label."""
     for x, y in points:
         if labels[int(y), int(x)]:
             return int(labels[int(y), int(x)])

@@ -1,4 +1,4 @@
-"""Point clouds: what a laser scanner, photogrammetry or a mesh says about where a petal is."""
+"""Point clouds of a petal, from a laser scanner, from photogrammetry or from a mesh."""
 
 import math
 import os
@@ -36,19 +36,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
 class PointCloud(AbstractObservation):
-    """Points, perhaps with normals, weights and colours.
+    """A point cloud, optionally with normals, weights and colours.
 
     The arrays are checked, copied to float64 and made read-only. Two clouds are equal only if
     they are the same object.
 
     Args:
         points: (N, 3), in any unit of length. They must not all lie on one line.
-        normals: (N, 3), of any length but zero; they are brought to unit length.
-        weights: (N,), how many observations each point counts for; 0 ignores a point.
-        colours: (N, 3), sRGB from 0 to 1, or bytes. They say nothing of the shape.
+        normals: (N, 3), of any length but zero; they are scaled to unit length.
+        weights: (N,), the number of observations that each point counts for; 0 ignores a point.
+        colours: (N, 3), sRGB from 0 to 1, or bytes. Fits of the shape do not use them.
 
     Raises:
-        TargetError: the arrays cannot be used; the message says why and what to do.
+        TargetError: The arrays cannot be used; the message says why and what to do.
     """
 
     kind: ClassVar[str] = "cloud"
@@ -89,7 +89,7 @@ class PointCloud(AbstractObservation):
     @property
     def centroid(self) -> Float64[np.ndarray, "3"]:
         """The mean of the points, weighted if there are weights; (3,)."""
-        # About one of the points: a sum of coordinates of 5e6 would round the petal away.
+        # Relative to one of the points: sums of coordinates near 5e6 would lose the petal to rounding.
         origin = self.points[0]
         weights = None if self.weights is None else self.weights / self.weights.max()
         return origin + np.average(self.points - origin, axis=0, weights=weights)
@@ -114,18 +114,18 @@ class PointCloud(AbstractObservation):
 
     @property
     def mass(self) -> Float64[np.ndarray, " n"]:
-        """How many observations each point counts for: its weight, or 1; (N,)."""
+        """The number of observations that each point counts for: its weight, or 1; (N,)."""
         return np.ones(len(self)) if self.weights is None else self.weights
 
     def used(self, weights: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-        """Which points count: those that have a weight, and kept at least half of it in the fit."""
+        """A mask of the points that count: their weight is positive, and the fit kept at least half."""
         return (weights > 0) & (weights >= 0.5 * self.mass)
 
     def outliers(self, weights: Float64[np.ndarray, " n"]) -> int:
         return int(np.count_nonzero(self.mass) - np.count_nonzero(self.used(weights)))
 
     def each_once(self) -> "PointCloud":
-        """The cloud in which points that repeat others have the weight 0."""
+        """The cloud with weight 0 for points that repeat an earlier one."""
         _, first = np.unique(self.points, axis=0, return_index=True)
         if len(first) == len(self):
             return self
@@ -138,7 +138,7 @@ class PointCloud(AbstractObservation):
         return PointCloud(self.points, self.normals, weights, self.colours)
 
     def weighted(self, factor: Float64[np.ndarray, " n"]) -> "PointCloud":
-        """The cloud with its weights multiplied by a factor for each point."""
+        """The cloud with the weight of each point multiplied by a factor."""
         return self.counting(self.mass * factor)
 
     def arrays(self) -> tuple[dict[str, Any], list[Float64[np.ndarray, "..."] | None]]:
@@ -160,17 +160,17 @@ class PointCloud(AbstractObservation):
         """Reads a point cloud, or samples a mesh; see `petalfit.observations.readers.read_columns`.
 
         Args:
-            path: the file, at most 2 GB.
-            n: number of points to draw from a file with faces; vertices are all taken.
-            seed: of `numpy.random.default_rng`.
+            path: The path of the file, of at most 2 GB.
+            n: The number of points to draw from a file with faces; without faces all vertices are used.
+            seed: The seed of `numpy.random.default_rng`, which draws the points.
 
         Returns:
             The cloud, in the file's unit of length and frame.
 
         Raises:
-            TargetError: the file is missing, not readable, not what its suffix says, too large, or
-                what it holds is no usable cloud. The message begins with the path.
-            ValueError: n is not positive.
+            TargetError: The file is missing, unreadable, too large, not of the format that its suffix
+                names, or does not hold a usable cloud. The message begins with the path.
+            ValueError: `n` is not positive.
         """
         path = Path(path)
         try:
@@ -179,16 +179,16 @@ class PointCloud(AbstractObservation):
             raise TargetError(f"{path}: {error}") from error.__cause__
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes the cloud whole or not at all; reading it again gives the same numbers to the last bit.
+        """Writes the cloud, completely or not at all; reading it back gives exactly the same numbers.
 
         Args:
-            path: the file; its suffix says what to write, see `petalfit.observations.writers`. An
-                existing file is replaced.
+            path: The path of the file. Its suffix names the format, see
+                `petalfit.observations.writers`. An existing file is replaced.
 
         Raises:
-            ValueError: the suffix is of no format that is written, or the format has no place for
+            ValueError: The suffix names no format that can be written, or the format cannot hold
                 weights or colours.
-            OSError: the file cannot be written.
+            OSError: The file cannot be written.
         """
         columns: Columns = {
             "points": self.points,
@@ -205,39 +205,39 @@ class PointCloud(AbstractObservation):
         """Draws points from a mesh, uniformly by area, with the normals of their faces.
 
         Args:
-            mesh: any mesh with faces; it need not be closed.
-            n: number of points.
-            seed: of `numpy.random.default_rng`; the same seed gives the same points.
+            mesh: Any mesh with faces; it need not be closed.
+            n: The number of points.
+            seed: The seed of `numpy.random.default_rng`; the same seed gives the same points.
 
         Returns:
             A cloud of n points with normals.
 
         Raises:
-            ValueError: n is not positive.
-            TargetError: the mesh has no faces, no area, or faces without usable corners.
+            ValueError: `n` is not positive.
+            TargetError: The mesh has no faces, no area, or faces without usable corners.
         """
         return cls(*sample_triangles(mesh_triangles(mesh), n, seed))
 
 
 def as_point_cloud(target: object) -> PointCloud:
-    """Makes a point cloud of whatever may be called one.
+    """Converts an array, a mesh, a scene or a file to a point cloud.
 
     Args:
-        target: an (N, 3) array-like of NumPy, JAX or plain lists; a `PointCloud`, which is
-            returned as it is; a `trimesh.Trimesh`, `trimesh.PointCloud` or `trimesh.Scene`, of
-            which faces are sampled by area; or the path of a file.
+        target: An (N, 3) array-like of NumPy, JAX or plain lists; a `PointCloud`, which is
+            returned unchanged; a `trimesh.Trimesh`, `trimesh.PointCloud` or `trimesh.Scene`, whose
+            faces are sampled by area; or the path of a file.
 
     Returns:
         The cloud.
 
     Raises:
-        TargetError: it is none of these, or cannot be used.
+        TargetError: The target is none of these, or cannot be used.
     """
     if isinstance(target, PointCloud):
         return target
     if isinstance(target, str | os.PathLike):
         return PointCloud.load(target)
-    # Whoever holds an object of trimesh has imported it already.
+    # If the target is an object of trimesh, trimesh has been imported already.
     if "trimesh" in sys.modules:
         import trimesh
 

@@ -1,4 +1,4 @@
-"""Point clouds from files: PLY, OBJ, STL, GLB, glTF, delimited text and NumPy's own formats."""
+"""Reading point clouds: PLY, OBJ, STL, GLB, glTF, delimited text and NumPy's own formats."""
 
 import io
 import json
@@ -20,35 +20,36 @@ from petalfit.observations.triangles import DEFAULT_SAMPLES, geometry_columns
 if TYPE_CHECKING:
     import trimesh.parent
 
-# 2 GB is 80 million points in float64: no scan of a petal, and more than a laptop can fit.
+# 2 GB are 80 million points in float64: more than any scan of a petal, or than a laptop can fit.
 LARGEST_FILE = 2_000_000_000
-# Extensions of glTF without which trimesh would read every vertex as zero.
+# Extensions of glTF that trimesh does not know: it would read every vertex as zero.
 COMPRESSIONS = (b"KHR_draco_mesh_compression", b"EXT_meshopt_compression")
 
 
 def read_columns(path: Path, n: int = DEFAULT_SAMPLES, seed: int = 0) -> Columns:
     """Reads the columns of a point cloud, or samples a mesh.
 
-    - `.ply .obj .stl .glb .gltf`: if there are faces they are sampled, uniformly by area, and the
-      normals of the faces become the points' own; otherwise the vertices are the cloud, with the
-      normals (nx, ny, nz), weights (weight) and colours (red, green, blue) of a PLY that has them.
-    - `.xyz .txt .csv`: a point a line, see `petalfit.observations.columns.read_text`.
+    - `.ply .obj .stl .glb .gltf`: if there are faces, they are sampled uniformly by area, and each point
+      gets the normal of its face; otherwise the vertices are the cloud, with the normals (nx, ny, nz),
+      weights (weight) and colours (red, green, blue) of a PLY that has them.
+    - `.xyz .txt .csv`: one point per line, see `petalfit.observations.columns.read_text`.
     - `.npy`: an array (N, 3), or (N, 6) with normals as in text without a header.
-    - `.npz`: arrays `points`, `normals`, `weights`, `colours`, of which only the first must be there;
+    - `.npz`: arrays `points`, `normals`, `weights`, `colours`, of which only the first is required;
       or a single array of any name, as in `.npy`.
 
     Args:
-        path: the file, at most 2 GB (in `.npz`, uncompressed). Its suffix, in either case, says
-            what it is.
-        n: number of points to draw from a file with faces; vertices are all taken.
-        seed: of `numpy.random.default_rng`.
+        path: The path of the file, of at most 2 GB (for `.npz`, uncompressed). Its suffix, in upper or
+            lower case, names the format.
+        n: The number of points to draw from a file with faces; without faces all vertices are used.
+        seed: The seed of `numpy.random.default_rng`.
 
     Returns:
-        The columns, in the file's unit of length and frame; nothing in them is checked yet.
+        The columns, in the file's unit of length and frame; their content is not checked yet.
 
     Raises:
-        TargetError: the file is missing, not readable, not what its suffix says, or too large.
-        ValueError: n is not positive.
+        TargetError: The file is missing, unreadable, too large, or not of the format that its suffix
+            names.
+        ValueError: `n` is not positive.
     """
     _check_file(path)
     parsed = _parse(path)
@@ -56,7 +57,7 @@ def read_columns(path: Path, n: int = DEFAULT_SAMPLES, seed: int = 0) -> Columns
 
 
 def _check_file(path: Path) -> None:
-    """Refuses what can be refused without opening the file."""
+    """Raises an error for everything that is wrong with a file and shows without opening it."""
     try:
         status = path.stat()
     except (FileNotFoundError, NotADirectoryError):
@@ -85,7 +86,7 @@ def _check_size(size: int) -> None:
 
 
 def _parse(path: Path) -> "Columns | list[trimesh.parent.Geometry]":
-    """What the file holds, read but not yet judged."""
+    """The content of a file, read but not yet checked."""
     try:
         with _quiet():
             return _READERS[path.suffix.lower()](path)
@@ -95,7 +96,7 @@ def _parse(path: Path) -> "Columns | list[trimesh.parent.Geometry]":
         raise TargetError(
             f"cannot be read ({_reason(error)}); check its permissions, and the files it names."
         ) from error
-    except Exception as error:  # On damaged files NumPy and trimesh raise anything at all.
+    except Exception as error:  # NumPy and trimesh raise exceptions of any kind on damaged files.
         raise TargetError(
             f"is damaged, cut short or no {path.suffix.lower()} file of a kind that is supported "
             f"({_reason(error)}); copy it again, or export it again, a mesh as triangles."
@@ -103,9 +104,9 @@ def _parse(path: Path) -> "Columns | list[trimesh.parent.Geometry]":
 
 
 def _reason(error: Exception) -> str:
-    """What an exception says, on one line and not too long."""
+    """The message of an exception, on one line and shortened."""
     if isinstance(error, ImportError):
-        # Mostly a guess of trimesh: if bytes are not UTF-8, a package might know the encoding.
+        # Mostly trimesh, which asks for a package to guess the encoding of bytes that are not UTF-8.
         return f"not readable without the package {error.name}"
     text = " ".join(str(error).split())
     return f"{type(error).__name__}: {text if len(text) <= 160 else text[:160] + '…'}"
@@ -113,8 +114,8 @@ def _reason(error: Exception) -> str:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keeps trimesh's log and all warnings back, except one that tells of lost data."""
-    # By its level, which the loggers of trimesh's modules inherit.
+    """Suppresses trimesh's log and all warnings, except one that reports lost data."""
+    # The level is set because the loggers of trimesh's modules inherit it.
     log = logging.getLogger("trimesh")
     level = log.level
     log.setLevel(logging.CRITICAL + 1)
@@ -134,7 +135,7 @@ def _read_ply(path: Path) -> "Columns | list[trimesh.parent.Geometry]":
 
     with path.open("rb") as file:
         ply = load_ply(file, fix_texture=False, skip_materials=True)
-    # The vertex element itself: trimesh drops a cloud's normals, and properties it does not know.
+    # The raw vertex element is used: trimesh drops a cloud's normals and properties it does not know.
     vertex = ply["metadata"]["_ply_raw"].get("vertex", {"length": 0})
     if not vertex["length"]:
         raise TargetError("holds no vertices; export it again.")
@@ -143,7 +144,7 @@ def _read_ply(path: Path) -> "Columns | list[trimesh.parent.Geometry]":
         raise TargetError(f"is cut short: {vertex['length']} vertices announced, {found} found.")
     if ply.get("faces") is not None:
         return [trimesh.Trimesh(ply["vertices"], ply["faces"], process=False)]
-    # A list property has two types: that of its length and that of its items.
+    # A list property, whose kind names two types (of its length and of its items), is left out.
     names = [name for name, kind in vertex["properties"].items() if "," not in kind]
     table = [np.ravel(vertex["data"][name]).astype(np.float64) for name in names]
     return named_columns(np.column_stack(table), [name.lower() for name in names])
@@ -156,17 +157,17 @@ def _read_geometry(path: Path) -> "list[trimesh.parent.Geometry]":
     kind = path.suffix.lower().removeprefix(".")
     data = path.read_bytes()
     if kind == "gltf":
-        # Of one that is no JSON, trimesh would only say that it finds no "model.gltf".
+        # Checked here: for a file that is not JSON, trimesh would only say that it finds no "model.gltf".
         json.loads(data)
     for compression in COMPRESSIONS:
         if kind in {"glb", "gltf"} and compression in data:
             raise TargetError(f"is compressed ({compression.decode()}); export it uncompressed.")
     if kind == "stl" and not _is_binary_stl(data):
-        # What is no text either is cut short; some packages make trimesh guess an encoding.
+        # A file that is not text either is cut short; with some packages trimesh guesses an encoding.
         data.decode("utf-8")
-    # Decoded here: for names that are not UTF-8 trimesh wants one more package.
+    # Decoded here: for names that are not UTF-8 trimesh would need another package.
     file = io.StringIO(data.decode("utf-8", "replace")) if kind == "obj" else io.BytesIO(data)
-    # process=False: trimesh would quietly drop vertices that are NaN.
+    # process=False, because trimesh would otherwise silently drop vertices that are NaN.
     scene = trimesh.load_scene(
         file,
         file_type=kind,
@@ -174,7 +175,7 @@ def _read_geometry(path: Path) -> "list[trimesh.parent.Geometry]":
         skip_materials=True,
         process=False,
     )
-    # Copies in the frame of the scene, one for each place where it puts a mesh.
+    # `dump` copies every mesh into the frame of the scene, once for each place where it appears.
     geometries = scene.dump()
     if not any(len(getattr(geometry, "vertices", ())) for geometry in geometries):
         raise TargetError(f"holds no vertices; it is empty, or no {path.suffix.lower()} file.")
@@ -182,7 +183,7 @@ def _read_geometry(path: Path) -> "list[trimesh.parent.Geometry]":
 
 
 def _is_binary_stl(data: bytes) -> bool:
-    """Whether there are as many triangles, of 50 bytes each, as the header of 84 bytes says."""
+    """Whether the file has as many triangles, of 50 bytes each, as its header of 84 bytes says."""
     return len(data) >= 84 and len(data) == 84 + 50 * int.from_bytes(data[80:84], "little")
 
 
@@ -193,7 +194,7 @@ def _read_npy(path: Path) -> Columns:
 
 def _read_npz(path: Path) -> Columns:
     with zipfile.ZipFile(path) as archive:
-        # Before anything is unpacked. zipfile unpacks no more than the directory says.
+        # Checked before anything is unpacked; zipfile unpacks no more than the directory says.
         _check_size(sum(member.file_size for member in archive.infolist()))
         members = {member.removesuffix(".npy"): member for member in archive.namelist()}
         if "points" not in members and len(members) != 1:
@@ -216,7 +217,7 @@ def _read_npz(path: Path) -> Columns:
 
 
 def _array_columns(array: np.ndarray) -> Columns:
-    """(N, 6) numbers by position; anything else is left to PointCloud to accept or refuse."""
+    """The columns of an (N, 6) array by position; PointCloud checks any other array."""
     if array.ndim == 2 and array.shape[1] == 6 and array.dtype.kind in "fiu":
         return unnamed_columns(array.astype(np.float64))
     return {"points": array, "normals": None, "weights": None, "colours": None}

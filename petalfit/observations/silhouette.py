@@ -1,4 +1,4 @@
-"""Silhouettes: which part of an image a petal covers."""
+"""Silhouettes: masks of the part of an image that a petal covers."""
 
 from __future__ import annotations
 
@@ -19,24 +19,25 @@ from petalfit.observations.images import opened_image
 from petalfit.observations.observation import AbstractObservation
 from petalfit.observations.validation import ArrayLike
 
-# Fewer covered pixels show no shape.
+# A mask with fewer covered pixels does not show a shape.
 _FEWEST = 32
-# Another piece this large, relative to the largest, is another object and no speck.
+# A further piece above this fraction of the largest one is another object, a smaller one a speck.
 _ANOTHER = 0.1
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
 class Silhouette(AbstractObservation):
-    """A mask of a petal, perhaps with the camera that saw it.
+    """A mask of a petal, optionally with the camera that took the image.
 
     The arrays are checked, copied to float64 and made read-only.
 
     Args:
-        mask: (H, W), bool, or coverage from 0 to 1: the share of each pixel that the petal covers.
-        camera: What took it; None for an orthographic front view of unknown scale and position.
-        weights: (H, W), at least 0: how far the mask is to be trusted at each pixel; 0 where another
-            object hides the petal, say. Where the mask meets the border of the image it is not trusted
-            in any case: the petal goes on there unseen.
+        mask: (H, W), bool, or coverage from 0 to 1: the fraction of each pixel that the petal covers.
+        camera: The camera that took the image; None stands for an orthographic front view of unknown
+            scale and position.
+        weights: (H, W), at least 0: how far the mask is trusted at each pixel; for instance 0 where
+            another object hides the petal. The mask is never trusted along the border of the image,
+            because the petal may go on beyond it.
 
     Raises:
         TargetError: The mask cannot be used; the message says why and what to do.
@@ -82,17 +83,17 @@ class Silhouette(AbstractObservation):
 
     @property
     def is_binary(self) -> bool:
-        """Whether every pixel is covered wholly or not at all."""
+        """Whether every pixel is covered completely or not at all."""
         return bool(np.isin(self.mask, (0.0, 1.0)).all())
 
     @property
     def area(self) -> float:
-        """The covered area, in pixels."""
+        """The covered area, in square pixels."""
         return float(self.mask.sum())
 
     @property
     def extent(self) -> Float64[np.ndarray, "2"]:
-        """Width and height of the image, in pixels; (2,)."""
+        """The width and the height of the image, in pixels; (2,)."""
         return np.array(self.mask.shape[::-1], np.float64)
 
     @property
@@ -130,19 +131,19 @@ class Silhouette(AbstractObservation):
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], camera: Camera | None = None) -> Silhouette:
-        """Reads an image: its alpha channel if it has one, or else its grey values.
+        """Reads the mask from an image: its alpha channel if it has one, otherwise its grey values.
 
         Args:
-            path: PNG, TIFF or any other image that Pillow reads.
-            camera: What took it.
+            path: The path of the image: PNG, TIFF or any other format that Pillow reads.
+            camera: The camera that took the image.
 
         Raises:
-            TargetError: The file cannot be read, or is a photo and no mask.
+            TargetError: The file cannot be read, or is a photo instead of a mask.
         """
         return cls(_read_mask(path), camera)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes a grey PNG of 8 bits, black where nothing is; whole or not at all."""
+        """Writes a grey PNG of 8 bits, black for the background; completely or not at all."""
         from PIL import Image
 
         image = Image.fromarray(np.rint(255 * self.mask).astype(np.uint8))
@@ -185,7 +186,7 @@ def _valid_mask(mask: ArrayLike) -> np.ndarray:
 
 
 def _check_one_object(mask: np.ndarray) -> None:
-    """Specks are let pass; a second object is not."""
+    """Raises an error if the mask shows a second object; small specks are allowed."""
     from scipy import ndimage
 
     labels = np.empty(mask.shape, np.int32)
@@ -219,7 +220,7 @@ def _read_mask(path: str | os.PathLike[str]) -> np.ndarray:
 
 
 def _has_many_greys(array: np.ndarray) -> bool:
-    """A mask is black or white but for a thin edge."""
+    """Whether many pixels are grey: a mask is black or white except along a thin edge."""
     if array.dtype == bool:
         return False
     top = 65535 if array.max(initial=0) > 255 else 255
@@ -228,7 +229,7 @@ def _has_many_greys(array: np.ndarray) -> bool:
 
 
 def _packed(array: np.ndarray) -> str:
-    """As bytes where multiples of 1/255 lose nothing, as doubles otherwise; deflated, in base 64."""
+    """An array as text: bytes if all are multiples of 1/255, else doubles; deflated, in base 64."""
     eight = np.rint(255 * array)
     exact = bool(((eight / 255) == array).all() and (eight <= 255).all())
     content = eight.astype(np.uint8) if exact else array.astype("<f8")

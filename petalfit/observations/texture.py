@@ -1,4 +1,4 @@
-"""Textures: the colour of a petal, or an intensity, over its (u, v)."""
+"""Textures: the colours or intensities of a petal over its domain (u, v)."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ class Texture:
     """Colours or intensities at places of a petal's domain, u ∈ [−½, ½] and v ∈ [0, 1].
 
     Args:
-        image: (H, W) intensities, or (H, W, 3) sRGB from 0 to 1 or as bytes: u to the right, the tip
-            (v = 1) in the first row, as glTF and every modeller have it. A fourth channel is opacity:
-            where it is 0 nothing is known.
+        image: (H, W) intensities, or (H, W, 3) sRGB from 0 to 1 or as bytes. u points to the right and
+            the tip (v = 1) is the first row, as in glTF and in every modeller. A fourth channel is
+            opacity: where it is 0 the colour is unknown.
 
     Attributes:
-        uv: Places, shape (n, 2).
-        values: Intensities, shape (n,), or sRGB, shape (n, 3).
-        weights: How many observations each place counts for, shape (n,); 0 ignores it.
+        uv: The places (u, v), shape (n, 2).
+        values: Intensities, shape (n,), or sRGB colours, shape (n, 3).
+        weights: The number of observations that each place counts for, shape (n,); 0 ignores a place.
 
     Raises:
         TargetError: The image cannot be used; the message says why and what to do.
@@ -63,12 +63,12 @@ class Texture:
         """Colours or intensities at scattered places.
 
         Args:
-            uv: (N, 2), within the domain.
+            uv: The places (u, v), (N, 2), within the domain.
             values: (N,) intensities, or (N, 3) sRGB from 0 to 1 or as bytes.
-            weights: (N,), at least 0; ones if None.
+            weights: (N,), at least 0; all 1 if None.
 
         Raises:
-            TargetError: They cannot be used; the message says why and what to do.
+            TargetError: The arrays cannot be used; the message says why and what to do.
         """
         texture = cls.__new__(cls)
         places = np.array(uv, np.float64)
@@ -83,10 +83,10 @@ class Texture:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Texture:
-        """Reads an image file; one without colour gives intensities.
+        """Reads a texture from an image file; an image without colour gives intensities.
 
         Raises:
-            TargetError: It cannot be read as an image, or cannot be used.
+            TargetError: The file cannot be read as an image, or the image cannot be used.
         """
         with opened_image(path) as image:
             grey = image.mode in ("1", "L", "I", "F", "I;16")

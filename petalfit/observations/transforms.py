@@ -1,4 +1,4 @@
-"""Files of cameras: one as JSON, or a NeRF tool's `transforms.json` (instant-ngp, nerfstudio)."""
+"""Camera files: one camera as JSON, or a NeRF tool's `transforms.json` (instant-ngp, nerfstudio)."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from petalfit.observations.camera import Camera
 from petalfit.observations.errors import TargetError
 from petalfit.observations.images import opened_image
 
-# Their cameras look along −z with y up; ours along +z with y down.
+# Cameras of NeRF tools look along −z with y up; ours look along +z with y down.
 _FLIP = np.diag([1.0, -1.0, -1.0])
 _DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 
 
 def read_transforms(path: str | os.PathLike[str]) -> dict[str, Camera]:
-    """Cameras by the image that each took, in the order of the file.
+    """Reads the cameras of a `transforms.json`, one for each image, in the order of the file.
 
-    Intrinsics may stand in a frame or at the top: f_x and f_y in pixels or a horizontal angle, with
-    the size of the image; where the size is missing it is taken from the image itself.
+    The intrinsics may stand in each frame or at the top of the file: f_x and f_y in pixels or a
+    horizontal angle, and the size of the image. A missing size is read from the image itself.
 
     Args:
-        path: The JSON file. Images are looked for beside it.
+        path: The path of the JSON file. Images are looked for in the same folder.
 
     Returns:
-        A dictionary from the images' paths, as the file gives them, to cameras.
+        A dictionary from the paths of the images, as the file gives them, to their cameras.
 
     Raises:
-        TargetError: The file cannot be read, is no such file, or has lens distortion.
+        TargetError: The file cannot be read, has another format, or has lens distortion.
     """
     try:
         content = json.loads(Path(path).read_text(encoding="utf-8"))
@@ -56,13 +56,13 @@ def read_transforms(path: str | os.PathLike[str]) -> dict[str, Camera]:
 
 
 def read_cameras(path: str | os.PathLike[str]) -> Camera | dict[str, Camera]:
-    """One camera from its JSON (see `Camera.from_json`), or those of a `transforms.json` by image.
+    """Reads one camera (see `Camera.from_json`), or those of a `transforms.json` by image.
 
     Args:
-        path: The JSON file.
+        path: The path of the JSON file.
 
     Raises:
-        TargetError: The file cannot be read, or is neither.
+        TargetError: The file cannot be read, or has neither format.
     """
     try:
         content = json.loads(Path(path).read_text(encoding="utf-8"))
@@ -112,7 +112,7 @@ def _camera(fields: dict[str, Any], image: Path) -> Camera:
 
 
 def _size(image: Path) -> tuple[int, int]:
-    # Blender's files leave the suffix out.
+    # Files that Blender writes leave out the suffix of the images.
     for path in (image, image.with_name(image.name + ".png")):
         if path.is_file():
             with opened_image(path) as opened:

@@ -1,4 +1,4 @@
-"""Points drawn from the triangles of a mesh, uniformly by area."""
+"""Sampling of points from the triangles of a mesh, uniformly by area."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -14,22 +14,22 @@ if TYPE_CHECKING:
     import trimesh
     import trimesh.parent
 
-# Points drawn from a mesh when nobody says how many: some 240 of them on the midrib of a petal
-# (half-width 0.03 of its width), and a power of two, to which fits pad their targets.
+# Default number of points drawn from a mesh. Some 240 of them lie on the midrib of a petal (whose
+# half-width is 0.03 of the petal's width), and it is a power of two, to which fits pad their targets.
 DEFAULT_SAMPLES = 4096
 
 
 def mesh_triangles(mesh: "trimesh.Trimesh") -> Float64[np.ndarray, "f 3 3"]:
-    """The corners of each face.
+    """The corners of each face of a mesh.
 
     Args:
-        mesh: any mesh with faces; vertices that no face uses are ignored.
+        mesh: Any mesh with faces; vertices that no face uses are ignored.
 
     Returns:
-        (F, 3, 3): face, corner, coordinate; in float64.
+        The coordinates in float64, shape (F, 3, 3), by face, corner and coordinate.
 
     Raises:
-        TargetError: there are no faces, they are no triangles in space, they use vertices that do
+        TargetError: The mesh has no faces, they are not triangles in space, they use vertices that do
             not exist, or a corner is not finite or too far out to compute an area.
     """
     vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces)
@@ -59,19 +59,19 @@ def mesh_triangles(mesh: "trimesh.Trimesh") -> Float64[np.ndarray, "f 3 3"]:
 def sample_triangles(
     triangles: Float64[np.ndarray, "f 3 3"], n: int, seed: int
 ) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"]]:
-    """Independent points, uniform by area, with the normals of their triangles.
+    """Draws independent points, uniformly by area, with the normals of their triangles.
 
     Args:
-        triangles: (F, 3, 3), the corners of each triangle, anticlockwise seen from outside.
-        n: number of points, positive.
-        seed: of `numpy.random.default_rng`.
+        triangles: The corners of each triangle, (F, 3, 3), anticlockwise as seen from outside.
+        n: The number of points, positive.
+        seed: The seed of `numpy.random.default_rng`.
 
     Returns:
-        points (n, 3) and unit normals (n, 3).
+        The points (n, 3) and their unit normals (n, 3).
 
     Raises:
-        ValueError: n is not positive.
-        TargetError: the triangles have no area.
+        ValueError: `n` is not positive.
+        TargetError: The triangles have no area.
     """
     if n < 1:
         raise ValueError(f"n is {n}, expected a positive number of points.")
@@ -80,7 +80,7 @@ def sample_triangles(
     longest = max(np.abs(first).max(), np.abs(second).max())
     if longest == 0.0:
         raise TargetError("the mesh has no area: the corners of every face coincide.")
-    # In units of the longest edge: areas of tiny meshes would underflow.
+    # Lengths are in units of the longest edge; otherwise the areas of tiny meshes would underflow.
     doubled = np.cross(first / longest, second / longest)
     area = np.linalg.norm(doubled, axis=1)
     if not area.sum() > 0.0:
@@ -88,7 +88,7 @@ def sample_triangles(
     rng = np.random.default_rng(seed)
     face = rng.choice(len(area), size=n, p=area / area.sum())
     s, t = rng.random((2, n, 1))
-    # Uniform on the parallelogram; its far half is folded back onto the triangle.
+    # (s, t) are uniform on the parallelogram; its far half is folded back onto the triangle.
     s, t = np.where(s + t > 1.0, (1.0 - s, 1.0 - t), (s, t))
     points = corner[face] + s * first[face] + t * second[face]
     return points, doubled[face] / area[face, None]
@@ -100,16 +100,16 @@ def geometry_columns(
     """The points of any trimesh geometries, as `trimesh.Scene.dump` gives them.
 
     Args:
-        geometries: their faces are sampled together, as by `PointCloud.from_mesh`. Where there
-            are no faces at all, the vertices are the points.
-        n: number of points to draw from faces; vertices are all taken.
-        seed: of `numpy.random.default_rng`.
+        geometries: The geometries. Their faces are sampled together, as by `PointCloud.from_mesh`.
+            Without any faces, the vertices are the points.
+        n: The number of points to draw from faces; without faces all vertices are used.
+        seed: The seed of `numpy.random.default_rng`.
 
     Returns:
-        Points, with normals if they were drawn from faces.
+        The points, with normals if they were drawn from faces.
 
     Raises:
-        TargetError: there are neither faces nor vertices, or they cannot be used.
+        TargetError: There are neither faces nor vertices, or they cannot be used.
     """
     import trimesh
 

@@ -1,4 +1,4 @@
-"""What makes arrays a usable point cloud. Each function returns a copy in float64 or says why not.
+"""Checks of the arrays of a point cloud. Each function returns a float64 copy or raises an error.
 
 Rows are counted from 0 in every message, as NumPy does.
 """
@@ -9,18 +9,18 @@ from jaxtyping import Float64
 
 from petalfit.observations.errors import TargetError
 
-# At run time NumPy's own name leaves tuples out, for want of a __reversed__.
+# Checked at run time, NumPy's own type does not cover tuples, because they have no __reversed__.
 ArrayLike = npt.ArrayLike | tuple[object, ...]
 
-# Squares of larger coordinates, and sums of those, come near the end of float64.
+# Squares of larger coordinates, and sums of such squares, come near the limit of float64.
 LARGEST_COORDINATE = 1e150
-# Smallest extent, relative to the largest coordinate. Rounding to float64 moves a point by
-# 1.1e-16 of its coordinate, hence by at most 2e-7 of the extent: less than STRAIGHTNESS.
+# The smallest extent, relative to the largest coordinate. Rounding to float64 moves a point by
+# 1.1e-16 of its coordinate, hence by at most 2e-7 of the extent, which is less than STRAIGHTNESS.
 RESOLVED_EXTENT = 1e-9
-# Largest distance to a line, relative to the extent, at which points count as collinear. For a
+# The largest distance to a line, relative to the extent, at which points count as collinear. For a
 # petal of 20 cm that is 0.2 µm: far below any scanner's noise, above float32's rounding.
 STRAIGHTNESS = 1e-6
-# A normal this close to unit length is kept bit for bit, so that saving and loading is exact.
+# A normal this close to unit length is kept unchanged, so that saving and loading is exact.
 UNIT_LENGTH = 4 * np.finfo(np.float64).eps
 
 
@@ -28,13 +28,13 @@ def valid_points(points: ArrayLike) -> Float64[np.ndarray, "n 3"]:
     """Checks type, shape and finiteness of points.
 
     Args:
-        points: array-like (N, 3), in any unit of length.
+        points: An array-like (N, 3), in any unit of length.
 
     Returns:
-        A copy in float64, C-contiguous.
+        A C-contiguous copy in float64.
 
     Raises:
-        TargetError: they are not numbers, not (N, 3), empty, not finite or too large to square.
+        TargetError: The points are not numbers, not (N, 3), empty, not finite or too large to square.
     """
     array = _real_array(points, "points")
     if array.size == 0:
@@ -58,17 +58,17 @@ def valid_points(points: ArrayLike) -> Float64[np.ndarray, "n 3"]:
 
 
 def valid_normals(normals: ArrayLike, n: int) -> Float64[np.ndarray, "n 3"]:
-    """Checks normals and brings them to unit length.
+    """Checks normals and scales them to unit length.
 
     Args:
-        normals: array-like (N, 3), of any length but zero.
-        n: the number of points.
+        normals: An array-like (N, 3), of any length but zero.
+        n: The number of points.
 
     Returns:
-        Unit normals, a copy in float64.
+        The unit normals, as a copy in float64.
 
     Raises:
-        TargetError: they are not numbers, not one a point, not finite or of zero length.
+        TargetError: The normals are not numbers, not one per point, not finite or of zero length.
     """
     array = _real_array(normals, "normals")
     if array.shape != (n, 3):
@@ -86,7 +86,7 @@ def valid_normals(normals: ArrayLike, n: int) -> Float64[np.ndarray, "n 3"]:
         "normals have zero length",
         "drop those points, or leave the normals out",
     )
-    # By the largest component first: the square of 1e-200 is zero.
+    # Divided by the largest component first, because the square of 1e-200 is zero.
     scaled = array / largest
     unit = scaled / np.linalg.norm(scaled, axis=1, keepdims=True)
     with np.errstate(over="ignore"):
@@ -98,14 +98,14 @@ def valid_weights(weights: ArrayLike, n: int) -> Float64[np.ndarray, " n"]:
     """Checks weights.
 
     Args:
-        weights: array-like (N,), not negative, not all zero.
-        n: the number of points.
+        weights: An array-like (N,), not negative, not all zero.
+        n: The number of points.
 
     Returns:
         A copy in float64, not rescaled.
 
     Raises:
-        TargetError: they are not numbers, not one a point, not finite, negative or all zero.
+        TargetError: The weights are not numbers, not one per point, not finite, negative or all zero.
     """
     array = _real_array(weights, "weights")
     if array.shape != (n,):
@@ -121,14 +121,14 @@ def valid_colours(colours: ArrayLike, n: int) -> Float64[np.ndarray, "n 3"]:
     """Checks colours.
 
     Args:
-        colours: array-like (N, 3), sRGB: numbers from 0 to 1, or bytes from 0 to 255.
-        n: the number of points.
+        colours: An array-like (N, 3) in sRGB: numbers from 0 to 1, or bytes from 0 to 255.
+        n: The number of points.
 
     Returns:
         A copy in float64, from 0 to 1.
 
     Raises:
-        TargetError: they are not numbers, not one a point, not finite or out of range.
+        TargetError: The colours are not numbers, not one per point, not finite or out of range.
     """
     is_bytes = np.asarray(colours).dtype == np.uint8
     array = _real_array(colours, "colours")
@@ -149,10 +149,10 @@ def check_spread(points: Float64[np.ndarray, "n 3"]) -> None:
     """Checks that points span more than a line, as far as float64 resolves them.
 
     Args:
-        points: (N, 3), finite.
+        points: The points, (N, 3), finite.
 
     Raises:
-        TargetError: they all coincide, lie on one line, or lie so far from the origin, compared
+        TargetError: The points all coincide, lie on one line, or lie so far from the origin, compared
             with their extent, that rounding has destroyed their shape.
     """
     low, high = points.min(axis=0), points.max(axis=0)
@@ -171,7 +171,7 @@ def check_spread(points: Float64[np.ndarray, "n 3"]) -> None:
     centred -= centred.mean(axis=0)
     direction = np.linalg.eigh(centred.T @ centred).eigenvectors[:, -1]
     from_line = centred - np.outer(centred @ direction, direction)
-    # The largest distance, not the second singular value: one true point off a long line counts.
+    # The largest distance and not the second singular value: one real point off a long line counts.
     if np.linalg.norm(from_line, axis=1).max() <= STRAIGHTNESS:
         raise TargetError(f"points all lie on one line ({len(points)} of them); {need}.")
 
@@ -180,10 +180,10 @@ def _real_array(values: ArrayLike, name: str) -> Float64[np.ndarray, "..."]:
     """A C-contiguous float64 copy of an array-like of real numbers."""
     try:
         if isinstance(values, np.ma.MaskedArray):
-            # np.asarray would show what the mask hides.
+            # np.asarray would return the values that the mask hides.
             values = np.ma.filled(values.astype(np.float64), np.nan)
         array = np.asarray(values)
-    except Exception as error:  # Ragged lists; foreign arrays that refuse, each in its own way.
+    except Exception as error:  # Ragged lists and foreign arrays raise exceptions of any kind.
         raise TargetError(
             f"{name} cannot be made an array ({error}); give a rectangular array of numbers."
         ) from error
@@ -196,7 +196,7 @@ def _real_array(values: ArrayLike, name: str) -> Float64[np.ndarray, "..."]:
 
 
 def _shape_remedy(shape: tuple[int, ...]) -> str:
-    """What to do about points that are not (N, 3)."""
+    """Advice for points that are not (N, 3)."""
     match shape:
         case (_, 2):
             return "a point needs three coordinates, so add the missing column"

@@ -1,4 +1,4 @@
-"""Point clouds to files: PLY, delimited text and NumPy's own formats, all in full precision."""
+"""Writing point clouds: PLY, delimited text and NumPy's own formats, all in full precision."""
 
 import os
 from collections.abc import Callable
@@ -15,22 +15,22 @@ _COLOURS = ["red", "green", "blue"]
 
 
 def write_columns(cloud: Columns, path: str | os.PathLike[str]) -> None:
-    """Writes a cloud whole or not at all; reading it again gives the same numbers to the last bit.
+    """Writes a cloud, completely or not at all; reading it back gives exactly the same numbers.
 
     - `.ply`: binary, in double precision, with nx, ny, nz, weight and red, green, blue if there are any;
-      colours as bytes where those say the same, as doubles from 0 to 1 otherwise.
-    - `.csv`: commas and a header.
-    - `.xyz`: blanks; a header, as a comment, only where there are weights or colours.
+      colours are bytes if those lose nothing, otherwise doubles from 0 to 1.
+    - `.csv`: numbers between commas, with a header.
+    - `.xyz`: numbers between blanks; a header, as a comment, only if there are weights or colours.
     - `.npy`: (N, 3), or (N, 6) with normals.
     - `.npz`: `points`, `normals`, `weights`, `colours`.
 
     Args:
-        cloud: its columns, checked.
-        path: the file, whose suffix says what to write. An existing file is replaced.
+        cloud: The columns of the cloud, already checked.
+        path: The path of the file, whose suffix names the format. An existing file is replaced.
 
     Raises:
-        ValueError: the suffix is none of these, or the format has no place for weights or colours.
-        OSError: the file cannot be written.
+        ValueError: The suffix is none of these, or the format cannot hold weights or colours.
+        OSError: The file cannot be written.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in _WRITERS:
@@ -43,7 +43,7 @@ def write_columns(cloud: Columns, path: str | os.PathLike[str]) -> None:
 
 
 def _table(cloud: Columns) -> tuple[list[str], Float64[np.ndarray, "n k"]]:
-    """The names of all columns, and the columns."""
+    """The names of all columns of a cloud, and the columns as one table."""
     names, columns = ["x", "y", "z"], [cloud["points"]]
     if cloud["normals"] is not None:
         names += ["nx", "ny", "nz"]
@@ -86,7 +86,7 @@ def _write_csv(cloud: Columns, path: Path) -> None:
 
 def _write_xyz(cloud: Columns, path: Path) -> None:
     names, table = _table(cloud)
-    # Other programs read three or six bare columns; four or seven mean something only by name.
+    # Other programs read three or six columns without names; four or seven need names to be understood.
     bare = cloud["weights"] is None and cloud["colours"] is None
     header = [] if bare else ["# " + " ".join(names)]
     _write_lines(path, header, " ", table)
@@ -101,7 +101,7 @@ def _write_lines(
 
 
 def _write_npy(cloud: Columns, path: Path) -> None:
-    # An open file, because NumPy appends .npy to a path that ends in .NPY.
+    # NumPy gets an open file, because it would append .npy to a path that ends in .NPY.
     with path.open("wb") as file:
         np.save(file, _table(cloud)[1])
 
