@@ -1,4 +1,4 @@
-"""Colours over (u, v): the paper's patterns (Eqs. 9 and 10), and palettes that they choose from."""
+"""Colours over (u, v): the paper's patterns (Eqs. 9 and 10) and the palettes that they mix."""
 
 from petalfit.colours.colour import Colour as Colour
 from petalfit.colours.pattern import AbstractPattern as AbstractPattern

@@ -1,4 +1,4 @@
-"""The colour of an organ: a palette, and the patterns that choose from it."""
+"""The colour of an organ: a palette and the patterns that mix its colours."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from petalfit.compilation import Program
 
 
 class Colour(eqx.Module):
-    """The ground of a palette, with every further colour of it laid over by the pattern of its place.
+    """A ground colour, over which patterns lay the further colours of a palette one after the other.
 
-    A pattern's intensity, kept within [0, 1], is how much of its colour covers what is below it. The
-    colours mix as light does: in linear light, not in sRGB.
+    The intensity of a pattern, clipped to [0, 1], is the opacity of its colour. Colours are mixed in
+    linear light, not in sRGB.
 
     Attributes:
-        palette: sRGB values in [0, 1], shape (1 + patterns, 3); the ground first.
-        patterns: One for every further colour.
+        palette: The colours, sRGB in [0, 1], shape (1 + number of patterns, 3); the ground comes first.
+        patterns: One pattern for every further colour, in the order of the palette.
     """
 
     palette: Float[Array | np.ndarray, "k 3"]
@@ -36,18 +36,18 @@ class Colour(eqx.Module):
 
     @classmethod
     def of(cls, *colours: str, patterns: tuple[AbstractPattern, ...] = ()) -> Colour:
-        """From colours as CSS writes them, "#f6d9e2", the ground first."""
+        """A colour from CSS notations such as "#f6d9e2"; the ground comes first."""
         return cls(np.stack([from_hex(colour) for colour in colours]), patterns)
 
     @property
     def is_plain(self) -> bool:
-        """Whether there is no pattern on the ground."""
+        """Whether the ground is the only colour."""
         return not self.patterns
 
     def __call__(
         self, u: Real[ArrayLike, "..."], v: Real[ArrayLike, "..."]
     ) -> Float[Array, "... 3"]:
-        """Linear RGB in [0, 1] at places of the petal's domain, the broadcast shape followed by 3."""
+        """Linear RGB in [0, 1] at (u, v); the shape is the broadcast shape of u and v followed by 3."""
         ground, *marks = to_linear(self.palette)
         shape = jnp.broadcast_shapes(jnp.shape(u), jnp.shape(v))
         mixed = jnp.broadcast_to(ground, (*shape, 3))
@@ -57,10 +57,10 @@ class Colour(eqx.Module):
         return mixed
 
     def texture(self, shape: tuple[int, int] = (256, 256)) -> UInt8[np.ndarray, "h w 3"]:
-        """The colours as a picture in sRGB: u to the right, the tip (v = 1) on top, pixel centres.
+        """The colours at pixel centres as an sRGB picture, u to the right and the tip (v = 1) on top.
 
         Args:
-            shape: Height and width in pixels.
+            shape: The height and the width in pixels.
         """
         height, width = shape
         u = (np.arange(width) + 0.5) / width - 0.5

@@ -1,4 +1,4 @@
-"""Patterns of intensity on a petal: centre, side and ring (Eq. 9), and ribs (Eq. 10)."""
+"""Patterns of intensity on a petal: centres, sides and rings (Eq. 9), and ribs (Eq. 10)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from petalfit.surfaces import Scalar, angle, broadcast_floats, number
 class AbstractPattern(eqx.Module):
     """An intensity I₁ + I₂ s(u, v) on the petal's domain, u ∈ [−½, ½] and v ∈ [0, 1].
 
-    A subclass gives its figure s, and declares the figure's parameters.
+    A subclass defines the figure s and declares its parameters.
     """
 
     i_1: Scalar = number(0.0, "I_1", (-2.0, 3.0), (0.0, 0.6), "intensity of the ground")
@@ -24,20 +24,20 @@ class AbstractPattern(eqx.Module):
     def figure(
         self, u: Float[Array, "*shape"], v: Float[Array, "*shape"]
     ) -> Float[Array, "*shape"]:
-        """s(u, v), for u and v of one shape."""
+        """The figure s(u, v), for u and v of the same shape."""
 
     def __call__(self, u: Real[ArrayLike, "..."], v: Real[ArrayLike, "..."]) -> Float[Array, "..."]:
-        """Intensities, the broadcast shape of u and v; not clipped to [0, 1]."""
+        """The intensities, not clipped to [0, 1], in the broadcast shape of u and v."""
         u, v = broadcast_floats(u, v)
         return jnp.asarray(self.i_1 + self.i_2 * self.figure(u, v))
 
 
 class RadialPattern(AbstractPattern):
-    """Eq. 9: I₁ + I₂ sinⁿ(v π f + φ).
+    """Rings along the petal, Eq. 9: I₁ + I₂ sinⁿ(v π f + φ).
 
-    The paper says that the intensity runs from I₁ to I₂; as printed it runs to I₁ + I₂. For a sine
-    below zero the power is the real part of its principal value, |sin|ⁿ cos(πn): what is printed for
-    every whole n, and continuous between them.
+    The paper says that the intensity runs from I₁ to I₂; as printed it runs to I₁ + I₂. The power of a
+    negative sine is the real part of its principal value, |sin|ⁿ cos(πn), which agrees with the printed
+    formula for every whole n and is continuous between them.
     """
 
     n: Scalar = number(2.0, "n", (0.05, 40.0), (0.5, 6.0), "sharpness of the rings")
@@ -51,10 +51,10 @@ class RadialPattern(AbstractPattern):
 
 
 class RibPattern(AbstractPattern):
-    """Eq. 10: I₁ + I₂ sin(f (u + ½) π) (1 − v)^n₁ v^n₂ (1 − 2|u|)^k.
+    """Ribs across the petal, Eq. 10: I₁ + I₂ sin(f (u + ½) π) (1 − v)^n₁ v^n₂ (1 − 2|u|)^k.
 
-    The number of half waves across the petal is f; n₁ and n₂ fade the ribs to the tip and to the base, k
-    to the sides.
+    f is the number of half waves across the petal. n₁ and n₂ fade the ribs towards the tip and the base,
+    k towards the sides.
     """
 
     f: Scalar = number(9.0, "f", (0.1, 120.0), (3.0, 40.0), "ribs, in half waves across")
@@ -69,7 +69,7 @@ class RibPattern(AbstractPattern):
 
 
 def power(base: Array, exponent: Scalar) -> Array:
-    """base^exponent for a base of 0 or more, with finite derivatives at 0; 0⁰ is 1."""
+    """The power base^exponent for a base of at least 0, with finite derivatives at 0; 0⁰ is 1."""
     positive = base > 0
     at_zero = jnp.where(jnp.asarray(exponent) == 0, 1.0, 0.0)
     return jnp.where(positive, jnp.where(positive, base, 1.0) ** exponent, at_zero)

@@ -1,4 +1,7 @@
-"""sRGB, in which pictures store light, and linear light, in which colours mix (IEC 61966-2-1)."""
+"""Conversion between sRGB, which pictures store, and linear light, in which colours mix.
+
+The formulas are those of IEC 61966-2-1.
+"""
 
 from __future__ import annotations
 
@@ -12,24 +15,24 @@ _HEX = re.compile(r"#[0-9a-fA-F]{6}")
 
 
 def to_linear(srgb: Float[Array | np.ndarray, "*shape"]) -> Float[Array, "*shape"]:
-    """Linear light of sRGB values, both in [0, 1]."""
+    """Converts sRGB values to linear light, both in [0, 1]."""
     srgb = jnp.asarray(srgb)
     curved = ((jnp.maximum(srgb, 0.04045) + 0.055) / 1.055) ** 2.4
     return jnp.where(srgb <= 0.04045, srgb / 12.92, curved)
 
 
 def to_srgb(linear: Float[Array | np.ndarray, "*shape"]) -> Float[Array, "*shape"]:
-    """SRGB values of linear light, both in [0, 1]."""
+    """Converts linear light to sRGB values, both in [0, 1]."""
     linear = jnp.asarray(linear)
     curved = 1.055 * jnp.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055
     return jnp.where(linear <= 0.0031308, 12.92 * linear, curved)
 
 
 def from_hex(text: str) -> Float[np.ndarray, "3"]:
-    """The sRGB values of a colour as CSS writes it, "#c2185b".
+    """The sRGB values in [0, 1] of a colour in CSS notation, such as "#c2185b".
 
     Raises:
-        ValueError: It is no such text.
+        ValueError: The text is not a colour in this notation.
     """
     if not _HEX.fullmatch(text):
         raise ValueError(f"a colour is written like '#c2185b'; received {text!r}")
@@ -37,6 +40,6 @@ def from_hex(text: str) -> Float[np.ndarray, "3"]:
 
 
 def to_hex(srgb: Float[Array | np.ndarray, "3"]) -> str:
-    """The colour as CSS writes it, to the nearest of 256 levels."""
+    """An sRGB colour in CSS notation, rounded to 256 levels."""
     levels = np.rint(255 * np.clip(np.asarray(srgb, float), 0, 1)).astype(int)
     return "#" + "".join(f"{level:02x}" for level in levels)

@@ -32,7 +32,7 @@ from petalfit.surfaces import parameters as parameters
 
 
 def models() -> dict[str, type[_AbstractSurface]]:
-    """Every component that there is to fit or to grow, by its name."""
+    """All components that can be fitted or grown, by name."""
     return {
         name: kind
         for name, kind in globals().items()
@@ -44,10 +44,10 @@ def models() -> dict[str, type[_AbstractSurface]]:
 
 
 def model_named(name: str) -> type[_AbstractSurface]:
-    """The component of that name.
+    """The component with this name.
 
     Raises:
-        TargetError: There is none.
+        TargetError: There is no component with this name.
     """
     kinds = models()
     if name not in kinds:

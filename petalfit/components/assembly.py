@@ -1,4 +1,4 @@
-"""Organs of several surfaces: a stamen of filament and anther, a pistil of ovary, style, stigma."""
+"""Organs that consist of several surfaces: a stamen has a filament and an anther, for instance."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ if TYPE_CHECKING:
 
 
 class AbstractAssembly(AbstractSurface):
-    """Named surfaces, each posed in the frame of the whole. A subclass says where its parts are.
+    """Several named surfaces, each posed in the frame of the whole. A subclass defines `parts`.
 
-    Poses may depend on the parts: an anther stands where its filament ends, however long that is.
+    A pose may depend on the parts: an anther is placed at the end of its filament, whatever its length.
 
-    As a surface its domain is an atlas, u ∈ [0, 1] and v ∈ [0, number of parts]. The part k has the
-    chart v ∈ [k + ¼, k + ¾]; what lies between charts belongs to the nearer one's edge, or goes on where
-    the part runs around.
+    Its domain as a surface is an atlas, u ∈ [0, 1] and v ∈ [0, number of parts]. Part k has the chart
+    v ∈ [k + ¼, k + ¾]. Between charts, v maps to the edge of the nearer chart, or, for a part without an
+    edge in v, continues the part periodically.
     """
 
     @abc.abstractmethod
     def parts(self) -> dict[str, tuple[Pose, AbstractSurface]]:
-        """Pose and surface of every part by its name; a name with a / is a part of a part."""
+        """The pose and the surface of every part by its name; "a/b" is the part b of the part a."""
 
     @property
     def domain(self) -> Domain:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -50,11 +50,11 @@ class AbstractAssembly(AbstractSurface):
         return found
 
     def part(self, number: int) -> PartOf:
-        """One of its surfaces, in the frame of the whole."""
+        """One part as a surface in the frame of the whole; parts are numbered from 0."""
         return PartOf(self, number)
 
     def in_atlas(self, number: int, uv: Float[Array | np.ndarray, "n 2"]) -> Float[Array, "n 2"]:
-        """Places of a part's own domain, in the atlas."""
+        """Converts places (u, v) of a part's own domain to places of the atlas."""
         _, surface = [*self.parts().values()][number]
         low, high = np.array(surface.domain).T
         fraction = (uv - low) / (high - low)
@@ -71,13 +71,13 @@ class AbstractAssembly(AbstractSurface):
         return trimesh.util.concatenate(meshes)  # pyright: ignore[reportReturnType]
 
     def area(self, resolution: tuple[int, int] = (512, 256)) -> Float[Array, ""]:
-        """The area of all parts together, hidden ones included."""
+        """The total area of all parts, including what other parts hide."""
         parts = self.parts().values()
         areas = [pose.scale**2 * surface.area(resolution) for pose, surface in parts]
         return jnp.sum(jnp.stack(areas))
 
     def sample(self, n: int, seed: int = 0, noise: float = 0.0) -> PointCloud:
-        """An area-uniform random cloud of all parts, hidden ones included."""
+        """Random points on all parts, uniform by area, including what other parts hide."""
         from petalfit.observations import PointCloud
 
         rng = np.random.default_rng(seed)
@@ -95,11 +95,11 @@ class AbstractAssembly(AbstractSurface):
 
 
 class PartOf(AbstractCarrier):
-    """One surface of an assembly in the frame of the whole, as a function of all the whole's parameters.
+    """One part of an assembly in the frame of the whole, as a function of all parameters of the assembly.
 
     Attributes:
-        assembly: The whole.
-        number: Of the part, from 0.
+        assembly: The assembly.
+        number: The number of the part, counted from 0.
     """
 
     assembly: AbstractAssembly = eqx.field(metadata=WRAPPED)

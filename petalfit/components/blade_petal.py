@@ -1,4 +1,4 @@
-"""A petal or leaf as a botanist describes it: outline, bend, cup, twist and relief (Eq. 7)."""
+"""A petal or leaf described in botanical terms: outline, bend, cup, twist and relief (Eq. 7)."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from petalfit.surfaces.waves import cos, sin
 # Gauss-Legendre nodes and weights on [0, 1], for the integrals along the midrib and across it.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(7)
 _NODES, _WEIGHTS = 0.5 * (_NODES + 1), 0.5 * _WEIGHTS
-_SOFT = 0.01  # keeps the slope of an outline finite where it goes like a root
+_SOFT = 0.01  # keeps the slope of an outline finite where it behaves like a square root
 _KEEL = 0.12  # half width of the keel, in half widths of the blade
-_GROOVE = 0.08  # the same of the midrib's relief
+_GROOVE = 0.08  # half width of the midrib's relief, in half widths of the blade
 
 
 def _angle(symbol: str, reach: float, typical: float, meaning: str) -> Any:
@@ -39,29 +39,29 @@ def _relief(symbol: str, meaning: str) -> Any:
 
 
 class BladePetal(AbstractDeformedSurface):
-    r"""Eq. 7 with deformations that a botanist would name: a lamina that is bent, cupped and twisted.
+    r"""A lamina that is bent, cupped and twisted: Eq. 7 with deformations that have botanical names.
 
     With u ∈ [−½, ½] across, t = 2u, and v ∈ [0, 1] from base to tip:
 
     1. The outline lies in the plane: q = length · width · w(v)(u + skew u²) across and s = length ·
        (v − tip_edge v²t² + base_edge (1 − v)²t²) along. w rises from `base_width` to 1 at v = `widest`
-       and falls to `tip_width`, on each side like e + (1 − e)(1 − ξ²)^taper with ξ the distance from
-       the widest place; a taper of ½ is an ellipse's, 1 a parabola's, 2 and more a claw's or a
-       drawn-out tip's.
+       and falls to `tip_width`. On each side it is e + (1 − e)(1 − ξ²)^taper, where e is the width of
+       that end and ξ the distance from the widest place, as a fraction of that side. A taper of ½ gives
+       an ellipse, 1 a parabola, 2 or more a claw or a drawn-out tip.
     2. The midrib bends without stretching: at x = s/length its angle to the base is bend x + 2 bend_shift
        x(x − 1) + tip_roll x⁸ out of the plane and sickle x within it, and the blade turns about it by
-       twist x. Bends beyond a right angle are no trouble.
-    3. Sections across it curve without stretching: at σ = 2q/(length · width) the angle is κ(x)σ +
-       margin_curl σ³ + keel tanh(σ/0.12), κ going through `cup_base`, `cup_mid` and `cup_tip`.
-    4. With `relief`, heights along the unit normal of the bent blade: midrib, ribs as in Eq. 8, and a
-       ruffle of the margin, ruffle t²v cos(2π(ruffle_frequency v + ruffle_phase)).
+       twist x. Bends beyond a right angle are possible.
+    3. Sections across the midrib curve without stretching: at σ = 2q/(length · width) the angle is
+       κ(x)σ + margin_curl σ³ + keel tanh(σ/0.12); κ interpolates `cup_base`, `cup_mid` and `cup_tip`.
+    4. With `relief`, heights are added along the unit normal of the bent blade: a midrib, ribs as in
+       Eq. 8, and a ruffle of the margin, ruffle t²v cos(2π(ruffle_frequency v + ruffle_phase)).
 
-    Angles are the ones between the ends of what they bend: bend is how far the tip points away from where
-    the base does, cup how far a margin does from the midrib.
+    Every angle is the one between the two ends of what it bends: bend is the angle between the
+    directions of base and tip, cup that between the directions of midrib and margin.
 
     Attributes:
-        relief: Whether midrib, ribs and ruffle are there; without, fits are faster.
-        sided: The parameters that change their sign when the blade is turned over.
+        relief: Whether there are midrib, ribs and ruffle; fits without them are faster.
+        sided: The names of the parameters that change sign when the blade is turned over.
     """
 
     length: Scalar = length(10.0, "L", (0.01, 1000.0), (3.0, 40.0), "along the midrib")
@@ -97,7 +97,7 @@ class BladePetal(AbstractDeformedSurface):
         0.0, "φ_r", (-1.0, 1.0), (-0.5, 0.5), "their phase, in waves", True
     )
     relief: bool = eqx.field(default=False, static=True)
-    # What changes sign when the blade is turned over.
+    # The parameters that change sign when the blade is turned over.
     sided: ClassVar[tuple[str, ...]] = (
         "skew",
         "bend",
@@ -134,7 +134,7 @@ class BladePetal(AbstractDeformedSurface):
         return bent(self, u, v)
 
     def turned_over(self) -> BladePetal:
-        """The same blade by other numbers, its upper side down: turn it by π about y to have it back."""
+        """The blade with its upper side down: turned by π about y, it is the original blade again."""
         return eqx.tree_at(
             lambda petal: [getattr(petal, name) for name in self.sided],
             self,
@@ -143,7 +143,7 @@ class BladePetal(AbstractDeformedSurface):
 
 
 class _Bent(AbstractSurface):
-    """The blade before its relief."""
+    """The blade without its relief."""
 
     blade: BladePetal
     domain: ClassVar[Domain] = Rectangle.domain
@@ -156,14 +156,14 @@ class _Bent(AbstractSurface):
 def profile(
     v: Any, widest: Scalar, ends: tuple[Any, Any], tapers: tuple[Any, Any], xp: ModuleType
 ) -> Any:
-    """w(v), the width along an outline in units of the greatest.
+    """w(v), the width along an outline, relative to the greatest width.
 
     Args:
-        v: Places from base to tip.
-        widest: Where it is 1.
-        ends: Widths of base and tip.
-        tapers: Of the sides towards base and tip.
-        xp: `jax.numpy`, or `numpy` for a search that calls it often with little.
+        v: Places from 0 at the base to 1 at the tip.
+        widest: The place v of the greatest width.
+        ends: The widths at base and tip.
+        tapers: The tapers of the sides towards base and tip.
+        xp: `jax.numpy`, or `numpy` for a search that makes many small calls.
     """
     below = v < widest
     end, taper = xp.where(below, *ends), xp.where(below, *tapers)
@@ -172,7 +172,7 @@ def profile(
 
 
 def flat(blade: BladePetal, u: Array, v: Array) -> tuple[Array, Array]:
-    """The outline's q across and s along, before anything bends."""
+    """The coordinates q (across) and s (along) of the flat blade: step 1 of `BladePetal`."""
     t = 2 * u
     ends, tapers = (blade.base_width, blade.tip_width), (blade.base_taper, blade.tip_taper)
     width = profile(v, blade.widest, ends, tapers, jnp)
@@ -182,12 +182,12 @@ def flat(blade: BladePetal, u: Array, v: Array) -> tuple[Array, Array]:
 
 
 def bent(blade: BladePetal, u: Array, v: Array) -> Array:
-    """Steps 1 to 3 of `BladePetal`."""
+    """The points of the blade without relief: steps 1 to 3 of `BladePetal`."""
     return bend(blade, *flat(blade, u, v))
 
 
 def bend(blade: BladePetal, q: Array, s: Array) -> Array:
-    """Where the place (q, s) of the flat blade goes: steps 2 and 3 of `BladePetal`."""
+    """The points to which the places (q, s) of the flat blade move: steps 2 and 3 of `BladePetal`."""
     x, sigma = s / blade.length, 2 * q / (blade.length * blade.width)
     nodes, weights = jnp.asarray(_NODES, x.dtype), jnp.asarray(_WEIGHTS, x.dtype)
 

@@ -1,4 +1,4 @@
-"""Surfaces that are another surface in some other place."""
+"""Surfaces that place another surface somewhere else."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from petalfit.surfaces import AbstractSurface, Domain, Oscillation
 
 
 class AbstractCarrier(AbstractSurface):
-    """A surface with the domain of another, that answers for a model's parameters by their plain names.
+    """A surface that carries another one, and gives access to a model's parameters by their plain names.
 
-    A subclass says where the other surface is carried, and holds the model in a field that is `WRAPPED`.
+    A subclass maps the carried surface to its place, and holds the model in a field that is `WRAPPED`.
 
     Attributes:
-        model_field: Name of that field.
+        model_field: The name of the field that holds the model.
     """
 
     model_field: ClassVar[str]
@@ -22,7 +22,7 @@ class AbstractCarrier(AbstractSurface):
     @property
     @abc.abstractmethod
     def carried(self) -> AbstractSurface:
-        """The surface that domain, edges and orientation are those of."""
+        """The carried surface, whose domain, edges and orientation this surface has."""
 
     @property
     def domain(self) -> Domain:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -45,7 +45,7 @@ class AbstractCarrier(AbstractSurface):
         return self.carried.oscillation
 
     def __getattr__(self, name: str) -> Any:
-        # Only asked for what the carrier itself does not have: the model's parameters.
+        # Python calls this only for names that the carrier does not have: the model's parameters.
         if name.startswith("_"):
             raise AttributeError(name)
         return getattr(object.__getattribute__(self, self.model_field), name)

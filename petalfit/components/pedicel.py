@@ -1,4 +1,4 @@
-"""The pedicel, Eqs. 1 and 2: a cylinder made uneven and bent."""
+"""The pedicel, Eqs. 1 and 2: an uneven, bent cylinder."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ class Pedicel(AbstractDeformedSurface):
     """A swollen, bent cylinder (Eq. 2 of the paper), its axis along y, open at both ends.
 
     S = (r cos u, h v, r sin u) + n a_1 sin(πv − 1) + (a_2 sin πv, 0, a_2 sin πv), with u ∈ [0, 2π], v ∈
-    [0, 1] and n the outward unit normal of the cylinder. The phase of one radian is as printed: the
-    swelling is negative below v = 1/π. Fig. 2 has a_1 = a_2 = 3; it prints no r and h.
+    [0, 1] and n the outward unit normal of the cylinder. The phase of one radian is as printed, so the
+    swelling is negative below v = 1/π. Fig. 2 has a_1 = a_2 = 3 and does not state r and h.
     """
 
     r: Scalar = length(4.0, "r", (0.05, 100.0), (3.0, 10.0), "radius of the cylinder")

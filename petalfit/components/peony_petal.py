@@ -34,9 +34,9 @@ class PeonyPetal(AbstractDeformedSurface):
              + dy sin(πy/40 − 1) + dx sin(πx/2 − ½) + tip_curl v³ sin(πx/8)
         z  = c_z + Δg
 
-    In Δg, x and y are those of the first two lines, as everywhere in the outline. The constants 40, 2
-    and 8 are lengths, so the equations mean one unit of length. Defaults are the paper's printed
-    constants where it prints them; a_x, b_y, c, dx and dy it leaves open.
+    In Δg, x and y are the values of the first two lines. The constants 40, 2 and 8 are lengths, so the
+    equations assume a certain unit of length. Defaults are the constants that the paper prints; for a_x,
+    b_y, c, dx and dy it prints none.
     """
 
     a_x: Scalar = parameter(
@@ -129,12 +129,12 @@ class PeonyPetal(AbstractDeformedSurface):
         meaning="amplitude of the curl towards the tip",
     )
     domain: ClassVar[Domain] = Rectangle.domain
-    regular: ClassVar[bool] = True  # but for single points where a fold of the outline ends
+    regular: ClassVar[bool] = True  # except at single points where a fold of the outline ends
     oscillation: ClassVar[Oscillation | None] = Oscillation("rib_frequency", "rib_amplitude")
 
     @property
     def shadow(self) -> PeonyPetal:
-        """The petal with nothing rising from the plane z = 0."""
+        """The petal flattened into the plane z = 0: its outline without any heights."""
         zero = np.float64(0.0)
         return dataclasses.replace(
             self, c_z=zero, dx=zero, dy=zero, rib_amplitude=zero, midrib_height=zero, tip_curl=zero

@@ -1,4 +1,4 @@
-"""The pistil, 2.3 of the paper: an ovary (Eq. 5), a style (Eq. 6) and a stigma; and several joined."""
+"""The pistil, 2.3 of the paper: an ovary (Eq. 5), a style (Eq. 6) and a stigma; also compound ones."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _PI = jnp.pi
 
 
 class Ovary(AbstractDeformedSurface):
-    """Eq. 5: an ellipsoid (r, 2r, r) with z − r/2 sin(π/2 + u), bent to one side in the middle."""
+    """An ovary, Eq. 5: an ellipsoid (r, 2r, r), bent in the middle by −r/2 sin(π/2 + u) along z."""
 
     r: Scalar = length(2.0, "r", (0.05, 100.0), (0.5, 8.0), "radius")
     domain: ClassVar[Domain] = Ellipsoid.domain
@@ -44,10 +44,11 @@ class Ovary(AbstractDeformedSurface):
 
 
 class Style(AbstractDeformedSurface):
-    """Eq. 6: a cylinder of radius r and height 10r, uneven, and bent in z.
+    """A style, Eq. 6: an uneven cylinder of radius r and height 10r that is bent in z.
 
-    Swelling sin(πv − 1) along the outward normal, bend 3 sin(πv); both are lengths as printed, so that a
-    style of another r is no scaled copy. `swell`, `bend` and `slenderness` have the printed 1, 3 and 10.
+    The swelling is sin(πv − 1) along the outward normal, the bend 3 sin(πv). Both are lengths, as
+    printed, so a style with another r is not a scaled copy. The defaults of `swell`, `bend` and
+    `slenderness` are the printed 1, 3 and 10.
     """
 
     r: Scalar = length(1.5, "r", (0.05, 100.0), (0.5, 6.0), "radius of the cylinder")
@@ -75,7 +76,7 @@ class Style(AbstractDeformedSurface):
 
 
 class Stigma(AbstractSurface):
-    """An ellipsoid, as the text of 2.3 says, flattened along the style: half axes (r, h, r)."""
+    """A stigma: an ellipsoid, as in the text of 2.3, flattened along the style; half axes (r, h, r)."""
 
     r: Scalar = length(1.5, "r", (0.05, 100.0), (0.5, 6.0), "radius across")
     h: Scalar = length(0.8, "h", (0.02, 100.0), (0.2, 4.0), "half height")
@@ -87,15 +88,15 @@ class Stigma(AbstractSurface):
 
 
 class Pistil(AbstractAssembly):
-    """A simple pistil, of one carpel: an ovary, a style on the ovary, a stigma on the style."""
+    """A simple pistil, of one carpel: an ovary, a style on the ovary and a stigma on the style."""
 
     ovary: Ovary = eqx.field(default_factory=Ovary)
     style: Style = eqx.field(default_factory=lambda: Style(r=0.6, swell=0.25, bend=0.8))
     stigma: Stigma = eqx.field(default_factory=lambda: Stigma(r=1.0, h=0.6))
 
     def parts(self) -> dict[str, tuple[Pose, AbstractSurface]]:
-        # Eqs. 5 and 6 end on the axis at both ends. The style begins a little inside of the ovary, and
-        # ends inside of the stigma, so that no gap shows.
+        # The surfaces of Eqs. 5 and 6 end on the axis at both ends. The style begins slightly inside the
+        # ovary and ends inside the stigma, so that no gap is visible.
         top = 4 * self.ovary.r - 0.5 * self.style.r
         return {
             "ovary": (Pose.at(0.0, 2 * self.ovary.r, 0.0), self.ovary),
@@ -105,13 +106,14 @@ class Pistil(AbstractAssembly):
 
 
 class CompoundPistil(AbstractAssembly):
-    """A compound pistil, Fig. 5(b): carpels around one axis, so closely staggered that they join.
+    """A compound pistil, Fig. 5(b): carpels around one axis, so close together that they join.
 
     Every carpel is a pistil, turned about the axis and moved away from it by `spread` radii of its
-    ovary. Ovaries and styles of neighbours run into one another; their stigmas stay lobes of one.
+    ovary. The ovaries and styles of neighbours run into one another; their stigmas form the lobes of one.
 
     Attributes:
-        carpels: How many, at least 2.
+        carpel: The pistil that every carpel is.
+        carpels: The number of carpels, at least 2.
     """
 
     carpel: Pistil = eqx.field(default_factory=Pistil)
@@ -130,13 +132,13 @@ class CompoundPistil(AbstractAssembly):
 
     def parts(self) -> dict[str, tuple[Pose, AbstractSurface]]:
         carpel, found = self.carpel.parts(), {}
-        # The same place for all parts of a carpel would part the styles: they lean on the axis instead.
+        # Styles stay nearer to the axis than ovaries; at the ovaries' distance they would come apart.
         away = self.spread * self.carpel.ovary.r
         near = jnp.minimum(jnp.asarray(away), 0.7 * jnp.asarray(self.carpel.style.r))
         for k in range(self.carpels):
             turn = about_y(2 * jnp.pi * k / self.carpels)
             for name, (pose, surface) in carpel.items():
-                # Eq. 5 bends to -z: that side is the outer one.
+                # Eq. 5 bends towards -z, so that side is the outer one.
                 shift = Pose.at(0.0, 0.0, -(away if name == "ovary" else near))
                 whole = Pose(turn, jnp.zeros(3), 1.0) @ shift @ pose
                 found[f"carpel_{k + 1}/{name}"] = (whole, surface)

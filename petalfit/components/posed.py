@@ -1,4 +1,4 @@
-"""A component in a frame that is not its own."""
+"""A component posed in another frame, with its pose as parameters."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ def _turn(axis: str) -> Any:
 
 
 class Posed(AbstractCarrier):
-    """unit · (scale · R T S(u, v) + shift) + origin, with S of another component.
+    """A component S with a pose: unit · (scale · R T S(u, v) + shift) + origin.
 
-    Its parameters are the component's and its own, all by their plain names. T turns by the vector turn,
-    about its direction by its length.
+    Its parameters are those of the component and of the pose, all by their plain names. T is the rotation
+    by the vector (turn_x, turn_y, turn_z): about its direction, by its length in rad.
 
     Attributes:
         surface: The component.
-        rotation: R, to which turns are added.
-        origin: Where shifts are counted from, in the target's unit.
-        unit: Length of one unit of the shifts, in the target's unit.
+        rotation: R, a fixed rotation that is applied after T, shape (3, 3).
+        origin: The place that shifts are counted from, in the target's unit, shape (3,).
+        unit: The length of one unit of the shifts, in the target's unit.
     """
 
     surface: AbstractSurface = eqx.field(metadata=WRAPPED)
@@ -57,7 +57,7 @@ class Posed(AbstractCarrier):
     turn_y: Scalar = _turn("y")
     turn_z: Scalar = _turn("z")
     model_field: ClassVar[str] = "surface"
-    # What is free in an image of unknown place and scale, and in space.
+    # The parameters that are free in an image of unknown place and scale, and those free in space.
     in_image: ClassVar[tuple[str, ...]] = ("scale", "shift_x", "shift_y")
     rigid: ClassVar[tuple[str, ...]] = (
         "shift_x",
@@ -71,7 +71,7 @@ class Posed(AbstractCarrier):
 
     @classmethod
     def free_in(cls, pose: str) -> tuple[str, ...]:
-        """What is free of a pose that is "known", "rigid" or "similarity"."""
+        """The names of the free parameters of a pose that is "known", "rigid" or "similarity"."""
         return {"known": (), "rigid": cls.rigid, "similarity": cls.similarity}[pose]
 
     @property
@@ -85,26 +85,26 @@ class Posed(AbstractCarrier):
 
     @property
     def turned(self) -> Float[Array, "3 3"]:
-        """R T."""
+        """The rotation R T from the component's frame to the target's."""
         turn = jnp.stack([jnp.asarray(x) for x in (self.turn_x, self.turn_y, self.turn_z)])
         return jnp.asarray(self.rotation) @ rotation(turn)
 
     @property
     def placement(self) -> Pose:
-        """From the component's frame to the target's."""
+        """The pose from the component's frame to the target's."""
         shift = np.array([float(self.shift_x), float(self.shift_y), float(self.shift_z)])
         unit = float(self.unit)
         place = np.asarray(self.origin) + unit * shift
         return Pose(np.asarray(self.turned), place, unit * float(self.scale))
 
     def at_rest(self, surface: AbstractSurface) -> Posed:
-        """A surface at the same place, in a frame from which there are no turns and shifts."""
+        """Another surface in the same pose, which becomes the frame: all turns and shifts are 0."""
         placed = self.placement
         place = np.asarray(placed.translation, np.float64)
         return Posed(surface, np.asarray(placed.rotation), place, np.float64(placed.scale))
 
     def seen_from(self, other: Posed) -> Posed:
-        """The same surface at the same place, by turns and shifts in another's frame."""
+        """The same surface at the same place, with turns and shifts counted in the frame of `other`."""
         from scipy.spatial.transform import Rotation
 
         placed = self.placement
@@ -116,5 +116,5 @@ class Posed(AbstractCarrier):
 
 
 def bare(model: AbstractSurface) -> AbstractSurface:
-    """The component itself, without a pose around it."""
+    """The component itself, without its pose if it has one."""
     return model.surface if isinstance(model, Posed) else model

@@ -21,10 +21,10 @@ from petalfit.surfaces.waves import cos, sin
 
 
 class CylinderReceptacle(AbstractSurface):
-    """Fig. 3's first shape: a closed cylinder with a rounded rim, its axis along y, its middle at 0.
+    """A closed cylinder with a rounded rim, its axis along y and its middle at 0: Fig. 3's first shape.
 
-    The superellipse (r |cos u|^½, h/2 |sin u|^½) turned about y, with the signs of cos u and sin u; the
-    paper gives no equation.
+    It is the superellipse (r |cos u|^½, h/2 |sin u|^½), with the signs of cos u and sin u, rotated about
+    y. The paper gives no equation.
     """
 
     r: Scalar = length(3.0, "r", (0.05, 100.0), (1.0, 10.0), "radius")
@@ -33,7 +33,7 @@ class CylinderReceptacle(AbstractSurface):
     edges: ClassVar[tuple[bool, bool]] = Ellipsoid.edges
 
     def position(self, u: Array, v: Array) -> Array:
-        # A superellipse in the form of one that is smooth at its ends: (c, s)/(c⁴ + s⁴)^¼.
+        # The superellipse in a parametrisation that is smooth at its ends: (c, s)/(c⁴ + s⁴)^¼.
         cosine, sine = cos(u), sin(u)
         scale = (cosine**4 + sine**4) ** -0.25
         across, up = self.r * cosine * scale, 0.5 * self.h * sine * scale
@@ -41,10 +41,10 @@ class CylinderReceptacle(AbstractSurface):
 
 
 class ConeReceptacle(AbstractSurface):
-    """Fig. 3's second shape: a cone that stands on its tip, its axis along y, with a rounded top.
+    """A cone that stands on its tip, its axis along y, with a rounded top: Fig. 3's second shape.
 
-    (r w cos v, h (w − 1) below, r (1 − w²)/4 above, r w sin v): for u < 0 the flank, w = 1 + 2u/π from
-    the tip at −h to the rim; for u ≥ 0 the top, w = 1 − 2u/π. The paper gives no equation.
+    S = (r w cos v, y, r w sin v). For u < 0 it is the flank, w = 1 + 2u/π and y = h (w − 1), from the tip
+    at −h to the rim; for u ≥ 0 the top, w = 1 − 2u/π and y = r (1 − w²)/4. The paper gives no equation.
     """
 
     r: Scalar = length(4.0, "r", (0.05, 100.0), (1.0, 10.0), "radius of the rim")
@@ -62,14 +62,15 @@ class ConeReceptacle(AbstractSurface):
 class Bowl(AbstractDeformedSurface):
     """The bowl-shaped receptacle of Eqs. 3 and 4, made of an ellipsoid (r, 3r, r) in two steps.
 
-    Swelling: n r/2 |sin 2u| for u ≥ 0 and n r/1.4 |sin 2u| below, along the ellipsoid's unit normal.
-    Hollowing, for u ≥ 0: the paper prints that −r cos(π/2 − u) is added to z, which shears the top
-    sideways instead of hollowing it. `hollow="printed"` does that. The default, "bowl", makes what
-    Fig. 4(c) shows, "the upper part is changed to inside of bowl": it adds −5.5r cos(π/2 − u) to y, which
-    turns the upper half down into the lower one and leaves a wall between them.
+    First it swells by n r/2 |sin 2u| for u ≥ 0 and by n r/1.4 |sin 2u| for u < 0, along the ellipsoid's
+    unit normal n. Then the half u ≥ 0 is hollowed. The paper prints that −r cos(π/2 − u) is added to z,
+    which shears the top sideways instead of hollowing it; `hollow="printed"` does that. The default,
+    "bowl", makes what Fig. 4(c) shows, "the upper part is changed to inside of bowl": it adds
+    −5.5r cos(π/2 − u) to y, which turns the upper half down into the lower one and leaves a wall between
+    them.
 
     Attributes:
-        hollow: "bowl" or "printed".
+        hollow: The way of hollowing, "bowl" or "printed".
     """
 
     r: Scalar = length(2.0, "r", (0.05, 100.0), (0.5, 8.0), "radius of the ellipsoid")

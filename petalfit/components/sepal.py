@@ -1,4 +1,4 @@
-"""The sepal, a small petal: Eq. 7 with deformations of its own."""
+"""The sepal, a small petal: Eq. 7 with its own deformations."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ _PI = jnp.pi
 
 
 class Sepal(AbstractDeformedSurface):
-    """A pointed, cupped leaf: the rectangle of Eq. 7 with Δx, Δy = 0 and Δg.
+    """A pointed, cupped leaf: the rectangle of Eq. 7 with Δx, Δg and Δy = 0.
 
-    The paper says that petal and sepal are similar and gives only the petal. Ours narrows to the tip,
-    Δx = a_x u (cos(c v)^2 − 1), and is cupped and bent, Δg = cup (4u² − 1) + bend v².
+    The paper says that petal and sepal are similar and gives only the petal. This sepal narrows towards
+    the tip by Δx = a_x u (cos(c v)² − 1), and is cupped and bent by Δg = cup (4u² − 1) + bend v².
     """
 
     a_x: Scalar = length(8.0, "a_x", (0.2, 100.0), (3.0, 16.0), "width at the base")

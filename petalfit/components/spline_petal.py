@@ -16,12 +16,14 @@ SEGMENTS = (7, 7)
 
 
 class SplinePetal(AbstractSurface):
-    """(a_x u + Δx, b_y v + Δy, c_z + Δg), the offsets being uniform cubic tensor-product B-splines.
+    """Eq. 7, (a_x u + Δx, b_y v + Δy, c_z + Δg), with offsets that are spline fields, not formulas.
 
-    Eq. 7 with fields instead of formulas. The rectangle's normal is +z, so Δg is the height.
+    The fields are uniform cubic tensor-product B-splines. The rectangle's normal is +z, so Δg is the
+    height.
 
     Attributes:
-        offsets: Coefficients of (Δx, Δy, Δg), shape (SEGMENTS + 3 each way, 3), lengths.
+        offsets: The coefficients of (Δx, Δy, Δg), lengths, shape (m, n, 3); m and n are the numbers of
+            segments along u and v plus 3.
     """
 
     a_x: Scalar = length(10.0, "a_x", (0.001, 1e5), (3.0, 40.0), "width of the rectangle")
@@ -45,7 +47,7 @@ class SplinePetal(AbstractSurface):
 
 
 def basis(place: Array, segments: int) -> tuple[Array, Array]:
-    """The first of the four coefficients that count at a place in [0, 1], and their weights."""
+    """The index of the first of the four coefficients that act at places in [0, 1], and all weights."""
     first = jnp.clip(jnp.floor(place * segments), 0, segments - 1)
     t = place * segments - first
     weights = [

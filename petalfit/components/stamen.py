@@ -29,8 +29,8 @@ _PI = jnp.pi
 class Anther(AbstractDeformedSurface):
     """A saccate anther: an ellipsoid (r, 3r, r) swollen into two sacs, with a furrow between them.
 
-    The paper says "expanded to become a saccate" and prints no formula; ours is n swell cos u |cos v|,
-    two sacs at ±x, most swollen half-way along.
+    The paper says "expanded to become a saccate" and prints no formula. Here the swelling is n swell
+    cos u |cos v|: two sacs at ±x, most swollen half-way along.
     """
 
     r: Scalar = length(0.8, "r", (0.05, 100.0), (0.2, 4.0), "radius of the ellipsoid")
@@ -49,8 +49,8 @@ class Anther(AbstractDeformedSurface):
 class Filament(AbstractDeformedSurface):
     """A long, thin, bent cylinder ("deformed cylinder" in the text of 2.3), open at both ends.
 
-    The radius shrinks from r at the base to r − taper at the tip; the bend adds a_2 sin(πv/2)² to z, so
-    that the filament leaves its base upright.
+    The radius decreases from r at the base to r − taper at the tip. The bend adds a_2 sin(πv/2)² to z, so
+    the filament is upright at its base.
     """
 
     r: Scalar = length(0.4, "r", (0.01, 50.0), (0.1, 2.0), "radius at the base")
@@ -76,15 +76,19 @@ class Filament(AbstractDeformedSurface):
 
 
 class Stamen(AbstractAssembly):
-    """A filament with an anther at its tip, which follows the filament's height and lean.
+    """A filament with an anther at its tip, which moves with the filament's height and lean.
 
-    With `tilt` 0 the anther stands upright, the filament ending in its middle; with π/2 it lies across
-    the tip, as the versatile anthers of a lily do.
+    With `tilt` 0 the anther stands upright and the filament ends in its middle; with π/2 it lies across
+    the tip, like the versatile anthers of a lily.
+
+    Attributes:
+        filament: The filament.
+        anther: The anther.
     """
 
     filament: Filament = eqx.field(default_factory=Filament)
     anther: Anther = eqx.field(default_factory=Anther)
-    # A half turn more is the same anther.
+    # The range is half a turn, after which the anther is the same again.
     tilt: Scalar = angle(0.0, "τ", (-1.6, 1.6), (-1.5, 1.5), "how far the anther is tipped over")
 
     def parts(self) -> dict[str, tuple[Pose, AbstractSurface]]:

@@ -1,4 +1,4 @@
-"""Whole flowers: organs on a receptacle, where they stand, and what becomes of them."""
+"""Whole flowers: organs on a receptacle, their arrangement, their files and their meshes."""
 
 from petalfit.flowers.androecium import KINDS as STAMENS  # noqa: F401
 from petalfit.flowers.androecium import stamens as stamens

@@ -1,4 +1,4 @@
-"""The six kinds of stamens that the paper names (2.3): how they are joined, and how long each is."""
+"""The androecium: the six kinds of stamens of the paper (2.3), which differ in joints and lengths."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from petalfit.components import Anther, Filament, Stamen
 from petalfit.flowers.flower import Series
 from petalfit.flowers.phyllotaxis import Arrangement
 
-# Neighbours in a bundle, from axis to axis in radii of the filament: less than 2, so that they join.
+# Distance between the axes of neighbours in a bundle, in radii of the filament: below 2, so they join.
 _JOINED = 1.6
-# From one bundle to the next; more than 2, so that they do not.
+# The same distance between neighbours of different bundles: above 2, so they stay apart.
 _APART = 4.5
 _USUAL = {
     "monadelphous": 10,
@@ -27,7 +27,7 @@ _USUAL = {
 KINDS = tuple(_USUAL)
 _FIXED = ("tetradynamous", "didynamous")
 _BUNDLES = 5
-_SHORT = 0.65  # of the length of the long ones
+_SHORT = 0.65  # length of short filaments, relative to long ones
 YELLOW, PALE = Colour.of("#e2b53c"), Colour.of("#e9efc9")
 
 
@@ -39,24 +39,24 @@ def stamens(
 ) -> Series:
     """Stamens of one of six kinds, on top of the receptacle.
 
-    - monadelphous: the filaments of all are joined, in a tube around the pistil (mallows);
-    - diadelphous: in two bundles, all but one joined and one free, (9) + 1 as a rule (peas);
-    - polyadelphous: in several bundles, here five (St John's worts, citrus);
-    - tetradynamous: six, four long ones and two short ones that stand outside (crucifers);
-    - didynamous: four, two long and two short (mints);
-    - synantherous: the anthers of all are joined to a tube, the filaments free (daisies).
+    - monadelphous: all filaments are joined to a tube around the pistil (mallows);
+    - diadelphous: two bundles, all but one joined and one free, usually (9) + 1 (peas);
+    - polyadelphous: several bundles, here five (St John's worts, citrus);
+    - tetradynamous: six stamens, four long ones and two short ones outside them (crucifers);
+    - didynamous: four stamens, two long and two short (mints);
+    - synantherous: all anthers are joined to a tube, the filaments are free (daisies).
 
-    Joined filaments stand closer than they are thick, so that their lower parts run into one another, and
-    part on their way up.
+    Joined filaments stand closer than they are thick, so that their lower parts run into one another and
+    separate further up.
 
     Args:
-        kind: Its name.
-        count: How many, where the kind leaves it open; by default as many as is usual.
-        stamen: What each is like, the long ones where there are two lengths.
-        colours: By part, "filament" and "anther".
+        kind: The name of the kind.
+        count: The number of stamens, if the kind leaves it open; by default the usual number.
+        stamen: The stamen that all are copies of; where there are two lengths, a long one.
+        colours: The colours of the parts, "filament" and "anther".
 
     Raises:
-        ValueError: The kind is none of these, or does not come in that number.
+        ValueError: The kind is none of these, or does not occur in that number.
     """
     if kind not in KINDS:
         raise ValueError(f"stamens are {', '.join(KINDS)}; received {kind!r}")
@@ -86,11 +86,11 @@ def stamens(
 def _bundles(
     sizes: tuple[int, ...], stamen: Stamen, closed: bool = False
 ) -> tuple[np.ndarray, float]:
-    """Azimuths on a circle, and its radius: joined within a bundle, apart between bundles."""
+    """Azimuths on a circle, and its radius; stamens join within a bundle and not between bundles."""
     gaps = np.concatenate(
         [[*[_JOINED] * (size - 1), _JOINED if closed else _APART] for size in sizes]
     )
-    # Chords of a circle: its radius by a few steps of a fixed point.
+    # The gaps are chords of a circle, whose radius a few steps of a fixed-point iteration find.
     chords = gaps * float(stamen.filament.r)
     radius = chords.sum() / (2 * math.pi)
     for _ in range(50):
@@ -113,7 +113,7 @@ def _of_two_lengths(
 
 
 def _with_joined_anthers(count: int, stamen: Stamen, colours: dict[str, Colour] | None) -> Series:
-    # At the tips the sacs of neighbours touch; at the base the filaments are three times as far apart.
+    # The sacs of neighbours touch at the tips; at the base filaments are three times as far apart.
     tip = 0.9 * float(stamen.anther.r + stamen.anther.swell) / math.sin(math.pi / count)
     base = 3.0 * max(tip, float(stamen.filament.r) / math.sin(math.pi / count))
     lean = -math.asin(min((base - tip) / float(stamen.filament.h), 0.9))

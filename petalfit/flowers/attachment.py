@@ -1,4 +1,4 @@
-"""How an organ stands on the receptacle."""
+"""The pose of an organ on the receptacle."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from petalfit.surfaces import AbstractSurface, Pose, Scalar, about_y, angle, len
 
 
 class Attachment(eqx.Module):
-    """A place on the receptacle and an attitude there.
+    """The place of an organ on the receptacle, and its orientation there.
 
-    An organ's own y axis leans from the flower's axis by `opening`, away from it; its z axis, a petal's
-    normal, looks inwards and up. It stands on the receptacle's surface at `latitude` (its u) and
-    `azimuth` (its v), moved from there by `radius` away from the axis and by `height` along it.
+    The organ's own y axis leans away from the flower's axis by `opening`; its z axis, a petal's normal,
+    points inwards and up. The organ stands on the receptacle's surface at u = `latitude` and
+    v = `azimuth`, moved from there by `radius` away from the flower's axis and by `height` along it.
     """
 
     azimuth: Scalar = angle(0.0, "φ", (-1e6, 1e6), (0.0, 6.2832), "about the flower's axis")
@@ -30,7 +30,7 @@ class Attachment(eqx.Module):
     scale: Scalar = number(1.0, "s", (0.001, 1000.0), (0.5, 2.0), "size of one unit of the organ")
 
     def pose(self, receptacle: AbstractSurface) -> Pose:
-        """From the organ's frame to the flower's; for an attachment without leading axes."""
+        """The pose from the organ's frame to the flower's; for an attachment without leading axes."""
         azimuth, opening = jnp.asarray(self.azimuth, float), jnp.asarray(self.opening, float)
         zero, up = jnp.zeros(()), jnp.asarray(np.array([0.0, 1.0, 0.0]))
         outwards = jnp.stack([jnp.cos(azimuth), zero, jnp.sin(azimuth)])

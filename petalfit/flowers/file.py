@@ -1,4 +1,4 @@
-"""Flowers as JSON: what a person writes, and what `petalfit grow -o flower.json` does."""
+"""Flowers as JSON, written by a person or by `petalfit grow -o flower.json`."""
 
 from __future__ import annotations
 
@@ -32,28 +32,28 @@ _ARRANGEMENTS = ("whorls", "recursion", "scattered", "l_system", "azimuth")
 
 
 def save_flower(flower: Flower, path: str | os.PathLike[str]) -> None:
-    """Write a flower as JSON, lossless, every number as it is; `load_flower` gives it back.
+    """Write a flower as lossless JSON, which `load_flower` reads; completely or not at all.
 
     Args:
         flower: The flower.
-        path: The file; an existing one is replaced.
+        path: The path of the file; an existing file is replaced.
 
     Raises:
-        OSError: The file cannot be written. It is written whole or not at all.
+        OSError: The file cannot be written.
     """
     with atomic_path(path) as temporary:
         temporary.write_text(json.dumps(flower_to_json(flower), indent=1) + "\n", encoding="utf-8")
 
 
 def load_flower(path: str | os.PathLike[str], seed: int = 0) -> Flower:
-    """Read a flower from a JSON file; docs/flowers.md describes it.
+    """Read a flower from a JSON file, whose format docs/flowers.md describes.
 
     Args:
-        path: The file.
-        seed: Of what the file leaves to chance: scattered places, and jitter.
+        path: The path of the file.
+        seed: The seed of what the file leaves to chance: scattered places and jitter.
 
     Raises:
-        FlowerError: The file cannot be read, or describes no flower that can be grown.
+        FlowerError: The file cannot be read, or does not describe a flower that can be grown.
     """
     try:
         content = json.loads(Path(path).read_text(encoding="utf-8"))
@@ -67,10 +67,10 @@ def load_flower(path: str | os.PathLike[str], seed: int = 0) -> Flower:
 
 
 def flower_from_json(content: Any, seed: int = 0) -> Flower:
-    """A flower from what its JSON holds; see `load_flower`.
+    """A flower from the content of its JSON file; see `load_flower`.
 
     Raises:
-        FlowerError: It describes no flower that can be grown.
+        FlowerError: The content does not describe a flower that can be grown.
     """
     entry = _Entry(content, "the flower", seed)
     if entry.take("format", FORMAT) != FORMAT or entry.take("version", VERSION) != VERSION:
@@ -99,7 +99,7 @@ def flower_from_json(content: Any, seed: int = 0) -> Flower:
 
 
 class _Entry:
-    """An object of the file, whose members must all be known."""
+    """A JSON object of the file; its members are taken one by one, and unknown ones are an error."""
 
     def __init__(self, content: Any, where: str, seed: int = 0) -> None:
         self.members = dict(_mapping(content, where))
@@ -139,7 +139,7 @@ def _mapping(content: Any, where: str) -> Mapping[str, Any]:
 
 
 def _organ(entry: _Entry) -> AbstractSurface:
-    """A component with its defaults and its options."""
+    """A component with default parameters and the options that the file gives it."""
     kinds, name = models(), entry.take("component")
     if name not in kinds:
         raise FlowerError(
@@ -160,7 +160,7 @@ def _organ(entry: _Entry) -> AbstractSurface:
 
 
 def _single(content: Any, where: str) -> tuple[AbstractSurface, Colour]:
-    """The receptacle, or the pedicel."""
+    """The receptacle or the pedicel, and its colour."""
     entry = _Entry(content, where)
     organ = _with_parameters(_organ(entry), entry)
     colour = _colour(entry.take("colour", "#7f9a4a"), where)
@@ -178,7 +178,7 @@ def _with_parameters(organ: Any, entry: _Entry) -> Any:
 
 
 def _require_room(organs: int) -> None:
-    """Refuses a count before there are arrays of that length."""
+    """Raises an error for too large a count, before arrays of that length are made."""
     require_memory(float(np.prod(PETAL)) * organs)
 
 
@@ -202,7 +202,7 @@ def _series(content: Any, number: int, seed: int, rng: np.random.Generator) -> S
 
 
 def _of_a_kind(entry: _Entry, what: str) -> Series:
-    """Stamens or pistils of a kind that has a name; their parameters are those of one of them."""
+    """Stamens or pistils of a named kind; the parameters in the file apply to each of them."""
     kind = entry.take(what)
     entry.where = f"{kind} {what}"
     organ: Any = components.Stamen() if what == "stamens" else components.Pistil()
@@ -272,7 +272,7 @@ def _with_values(
 
 
 def _row(given: Any, rank: np.ndarray, rng: np.random.Generator, where: str) -> list[Any]:
-    """One value an organ: from a number for all, a list, or a change from outside to inside."""
+    """One value per organ, from one number for all, a list, or a change from outside to inside."""
     if isinstance(given, list):
         if len(given) != len(rank):
             raise FlowerError(f"{where} has {len(given)} values for {len(rank)} organs.")
@@ -307,7 +307,7 @@ def _painted(series: Series, entry: _Entry) -> Series:
 
 
 def _colour(content: Any, where: str) -> Colour:
-    """A colour as text, or a palette with patterns."""
+    """A colour from its text, or from a palette with patterns."""
     entry = _Entry({"palette": [content]} if isinstance(content, str) else content, where)
     palette, patterns = entry.take("palette", []), entry.take("patterns", [])
     entry.finish()
@@ -340,7 +340,7 @@ def _pattern(content: Any, where: str) -> AbstractPattern:
 
 
 def flower_to_json(flower: Flower) -> dict[str, Any]:
-    """A flower as JSON holds it, lossless."""
+    """A flower as lossless JSON."""
     green = flower.colours
     return {
         "format": FORMAT,
@@ -369,7 +369,7 @@ def flower_to_json(flower: Flower) -> dict[str, Any]:
 
 
 def _described(one: eqx.Module, all_: eqx.Module | None = None) -> dict[str, Any]:
-    """A component, its options and its parameters; those of a whole series if it is given."""
+    """A component, its options and its parameters; if `all_` is given, those of a whole series."""
     options = {
         f.name: getattr(one, f.name) for f in dataclasses.fields(one) if f.metadata.get("static")
     }
@@ -379,7 +379,7 @@ def _described(one: eqx.Module, all_: eqx.Module | None = None) -> dict[str, Any
 
 
 def _numbers(values: Any) -> float | list[float]:
-    """A number where all are the same."""
+    """The list of all values, or one number if they are all equal."""
     row = np.asarray(values, np.float64)
     return float(row.flat[0]) if (row == row.flat[0]).all() else row.tolist()
 

@@ -1,4 +1,4 @@
-"""A flower: a tree of posed, named organs, whose numbers can all be varied and differentiated by."""
+"""The flower: a tree of posed, named organs, differentiable by each of its numbers."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ Values: TypeAlias = float | np.ndarray
 
 
 class Series(eqx.Module):
-    """Organs of one kind: the petals, the stamens, a pistil.
+    """The k organs of one kind: the petals, the stamens or the pistils.
 
-    Every leaf of `organ` and of `attachment` has shape (k,), one value an organ.
+    Every leaf of `organ` and of `attachment` has shape (k,), one value per organ.
 
     Attributes:
-        name: Of one of them; `petal` makes petal_1 to petal_k.
-        organ: A component, or an assembly of several.
-        attachment: How each stands on the receptacle.
-        colours: By the name of the part; by "" for a component.
+        name: The name of one organ; "petal" gives petal_1 to petal_k.
+        organ: A component, or an assembly of several, with stacked leaves.
+        attachment: The place and the orientation of each organ on the receptacle.
+        colours: The colours by the name of the part; a component has one part, named "".
     """
 
     name: str = eqx.field(static=True)
@@ -46,17 +46,18 @@ class Series(eqx.Module):
         colours: Colour | Mapping[str, Colour],
         **attachment: Values,
     ) -> Series:
-        """Organs in an arrangement.
+        """A series of organs in an arrangement.
 
         Args:
-            name: Of one of them.
-            organ: One for all, or one each.
-            arrangement: Where they stand around the axis.
-            colours: One for all parts, or by the name of the part.
-            attachment: Fields of `Attachment`, a number for all or an array of one each.
+            name: The name of one organ.
+            organ: One organ for all places, or a sequence with one for each place.
+            arrangement: The places of the organs around the axis.
+            colours: One colour for all parts, or colours by the name of the part.
+            attachment: Fields of `Attachment`, each a number for all organs or an array of shape (k,).
 
         Raises:
-            ValueError: There are as many organs or values as there are places.
+            ValueError: The number of organs or of values differs from that of the places, or a part has
+                no colour.
         """
         k = len(arrangement)
         each = [organ] * k if isinstance(organ, AbstractSurface) else [*organ]
@@ -83,18 +84,18 @@ class Series(eqx.Module):
 
     @property
     def part_names(self) -> list[str]:
-        """Of the surfaces that one organ has."""
+        """The names of the parts of one organ; [""] if it is a single surface."""
         return _part_names(self.one(0))
 
     @property
     def names(self) -> list[str]:
-        """Of every organ: numbered from 1 unless there is only one."""
+        """The names of all organs, numbered from 1 unless there is only one."""
         if len(self) == 1:
             return [self.name]
         return [f"{self.name}_{k + 1}" for k in range(len(self))]
 
     def one(self, k: int) -> AbstractSurface:
-        """The organ of that number, counted from 0."""
+        """The organ with number k, counted from 0."""
         return jax.tree.map(lambda leaf: leaf[k], self.organ)
 
 
@@ -103,7 +104,7 @@ def _part_names(organ: AbstractSurface) -> list[str]:
 
 
 def short(part: str) -> str:
-    """The last name of a part's path, which its colour goes by."""
+    """The last name in the path of a part, by which its colour is found."""
     return part.rpartition("/")[2]
 
 
@@ -111,14 +112,14 @@ RECEPTACLE, PEDICEL = -1, -2
 
 
 class Part(eqx.Module):
-    """One surface of every organ of a series.
+    """The same part of all k organs of a series.
 
     Attributes:
-        series: Number of the series, −1 for the receptacle and −2 for the pedicel.
-        name: Of the part within its organ, "" if the organ is nothing else.
-        surface: With leaves of shape (k,).
-        inner: From the part's frame to the organ's; leaves of shape (k, ...).
-        outer: From the organ's frame to the flower's; leaves of shape (k, ...).
+        series: The number of the series; −1 for the receptacle and −2 for the pedicel.
+        name: The name of the part within its organ; "" if the organ is a single surface.
+        surface: The surface, its leaves of shape (k,).
+        inner: The poses from the part's frame to the organ's; leaves of shape (k, ...).
+        outer: The poses from the organ's frame to the flower's; leaves of shape (k, ...).
     """
 
     series: int = eqx.field(static=True)
@@ -129,21 +130,22 @@ class Part(eqx.Module):
 
     @property
     def label(self) -> str:
-        """Of what belongs to no series."""
+        """The name of a part that belongs to no series: "receptacle" or "pedicel"."""
         return "receptacle" if self.series == RECEPTACLE else "pedicel"
 
 
 class Flower(eqx.Module):
-    """A receptacle on a pedicel, and the series of organs on it; it grows along +y.
+    """A flower: a receptacle on a pedicel, with series of organs on it. It grows along +y.
 
-    A pytree: `jax.grad` of a scalar of it has the derivative by every number of every organ.
+    A flower is a pytree: `jax.grad` of a scalar function of it gives the derivatives by every number of
+    every organ.
 
     Attributes:
-        name: What it is.
-        receptacle: Its surface's u is the latitude of attachments, its v their azimuth.
-        pedicel: Ends where the receptacle begins; None for no pedicel.
-        series: From outside to inside.
-        colours: Of "receptacle" and "pedicel".
+        name: The name of the flower, for instance "lily".
+        receptacle: The surface that organs stand on; its u is their latitude, its v their azimuth.
+        pedicel: The stalk, which ends where the receptacle begins; None for no pedicel.
+        series: The series of organs, from outside to inside.
+        colours: The colours of "receptacle" and "pedicel".
     """
 
     name: str = eqx.field(static=True)
@@ -158,7 +160,7 @@ class Flower(eqx.Module):
             raise ValueError(f"names of organs must differ; received {', '.join(names)}")
 
     def parts(self) -> list[Part]:
-        """Every surface of the flower, those of one kind of organ together."""
+        """All surfaces of the flower, with the same part of all organs of a series in one `Part`."""
         one = Pose(jnp.eye(3)[None], jnp.zeros((1, 3)), jnp.ones(1))
         found = [Part(RECEPTACLE, "", _batch(self.receptacle), one, one)]
         if self.pedicel is not None:
@@ -180,7 +182,7 @@ class Flower(eqx.Module):
         """Points of all surfaces in the flower's frame, on a grid of each domain.
 
         Args:
-            resolution: Number of points along u and along v, at least 2 each.
+            resolution: The numbers of points along u and along v, at least 2 each.
         """
         found = []
         for part in self.parts():
@@ -198,7 +200,7 @@ class Flower(eqx.Module):
         return jnp.concatenate(found)
 
     def colour(self, part: Part) -> Colour:
-        """Of one of its parts."""
+        """The colour of one of the flower's parts."""
         if part.series < 0:
             return self.colours[part.label]
         return self.series[part.series].colours[short(part.name)]
@@ -209,7 +211,7 @@ def _batch(surface: AbstractSurface) -> AbstractSurface:
 
 
 def _on_its_base(surface: AbstractSurface) -> Pose:
-    """Puts the middle of a petal's base at the origin, where other organs have theirs."""
+    """The pose that moves the middle of a petal's base to the origin, where other organs have it."""
     if not all(surface.edges):
         return jax.tree.map(lambda leaf: jnp.asarray(leaf, float), Pose.identity())
     (u_low, u_high), (v_low, _) = surface.domain
@@ -218,5 +220,5 @@ def _on_its_base(surface: AbstractSurface) -> Pose:
 
 
 def _broadcast_parts(organ: AbstractAssembly) -> dict[str, tuple[Pose, AbstractSurface]]:
-    """Parts with arrays for leaves, as vmap wants them."""
+    """The parts of an organ with arrays as leaves, which vmap needs."""
     return jax.tree.map(lambda leaf: jnp.asarray(leaf, float), organ.parts())

@@ -1,4 +1,4 @@
-"""A flower as grids of points: what files and pictures of it are made from."""
+"""A flower as grids of points, from which its files and pictures are made."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from petalfit.flowers.flower import Flower, Part
 from petalfit.flowers.settings import FlowerError
 from petalfit.surfaces import AbstractSurface
 
-# Vertices along u and along v: petals have ribs across and a midrib, other organs are smooth.
+# Vertices along u and along v. Petals need more, because they have ribs and a midrib.
 PETAL, ROUND = (65, 33), (25, 17)
-# Surfaces are evaluated so many at a time, so that flowers of any size share one compiled program.
+# The number of surfaces evaluated at a time, so that flowers of any size share one compiled program.
 _AT_ONCE = 16
-# What a vertex takes on its way into a file, with normals, texture coordinates, faces and copies.
+# Memory per vertex while a file is written, with normals, texture coordinates, faces and copies.
 _BYTES = 400
 
 
 class Grown(NamedTuple):
-    """One surface of every organ of a series, on a grid of its domain.
+    """The same part of all k organs of a series, on a grid of its domain.
 
     Attributes:
-        part: What it is; its leaves are NumPy's.
-        vertices: In the frame of the part, shape (k, n_u, n_v, 3).
-        normals: Unit normals there.
-        inner: From the part's frame to the organ's, shape (k, 4, 4).
-        outer: From the organ's frame to the flower's, shape (k, 4, 4).
+        part: The part, with NumPy arrays as leaves.
+        vertices: The vertices in the frame of the part, shape (k, n_u, n_v, 3).
+        normals: The unit normals at the vertices, shape (k, n_u, n_v, 3).
+        inner: The matrices from the part's frame to the organ's, shape (k, 4, 4).
+        outer: The matrices from the organ's frame to the flower's, shape (k, 4, 4).
     """
 
     part: Part
@@ -40,7 +40,7 @@ class Grown(NamedTuple):
     outer: Float[np.ndarray, "k 4 4"]
 
     def in_flower(self) -> Grown:
-        """The same with vertices and normals in the flower's frame."""
+        """A copy with vertices and normals in the flower's frame; the matrices are unchanged."""
         matrices = self.outer @ self.inner
         scale = np.cbrt(np.linalg.det(matrices[:, :3, :3]))[:, None, None]
         return self._replace(
@@ -56,15 +56,15 @@ def _turned(
 
 
 def resolution(surface: AbstractSurface) -> tuple[int, int]:
-    """Vertices along u and along v."""
+    """The numbers of vertices along u and along v for a surface."""
     return PETAL if all(surface.edges) else ROUND
 
 
 def grow(flower: Flower) -> list[Grown]:
-    """All surfaces of a flower on their grids.
+    """Evaluates all surfaces of a flower on grids.
 
     Raises:
-        FlowerError: They would not fit into memory.
+        FlowerError: The grids would not fit into memory.
     """
     with jax.enable_x64(True):
         shapes = [
@@ -76,10 +76,10 @@ def grow(flower: Flower) -> list[Grown]:
 
 
 def require_memory(vertices: float) -> None:
-    """Refuses a flower before it is grown.
+    """Checks, before a flower is grown, that its vertices fit into memory.
 
     Raises:
-        FlowerError: So many vertices would take more than half of the memory that is free.
+        FlowerError: The vertices would take more than half of the free memory.
     """
     needed, free = _BYTES * vertices, _free_memory()
     if needed > 0.5 * free:
@@ -92,7 +92,7 @@ def require_memory(vertices: float) -> None:
 def _free_memory() -> float:
     try:
         return float(os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
-    except (AttributeError, ValueError, OSError):  # Windows and macOS do not say
+    except (AttributeError, ValueError, OSError):  # Windows and macOS do not report it
         return 8e9
 
 

@@ -1,4 +1,4 @@
-"""The pistils of a flower, Fig. 5: one simple, several apart, or several joined."""
+"""The gynoecium, Fig. 5: one simple pistil, several separate ones, or one of joined carpels."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ def pistils(
 ) -> Series:
     """Pistils of one of three kinds, on top of the receptacle.
 
-    - simple: one, of one carpel;
-    - apocarpous: as many pistils as carpels, apart, each turned and leaning outwards (Fig. 5(a));
-    - compound: one pistil, in which the carpels are joined (Fig. 5(b) and (c)).
+    - simple: one pistil of one carpel;
+    - apocarpous: as many separate pistils as carpels, each turned and leaning outwards (Fig. 5(a));
+    - compound: one pistil of joined carpels (Fig. 5(b) and (c)).
 
     Args:
-        kind: Its name.
-        carpels: How many; 1 for a simple pistil, at least 2 for the others.
-        pistil: What a carpel is like.
-        colours: By part, "ovary", "style" and "stigma".
+        kind: The name of the kind.
+        carpels: The number of carpels; 1 for a simple pistil, at least 2 for the others.
+        pistil: The pistil that every carpel is a copy of.
+        colours: The colours of the parts, "ovary", "style" and "stigma".
 
     Raises:
-        ValueError: The kind is none of these, or does not come in that number.
+        ValueError: The kind is none of these, or does not occur with that number of carpels.
     """
     if kind not in KINDS:
         raise ValueError(f"pistils are {', '.join(KINDS)}; received {kind!r}")
@@ -50,6 +50,6 @@ def pistils(
         case "compound":
             return Series.of("pistil", CompoundPistil(carpel, carpels=carpels), whorls(1), paint)
         case _:
-            # Ovaries of neighbours just touch.
+            # At this radius the ovaries of neighbours just touch.
             apart = 1.05 * float(carpel.ovary.r) / math.sin(math.pi / carpels)
             return Series.of("pistil", carpel, whorls(carpels), paint, radius=apart, opening=0.15)

@@ -1,4 +1,4 @@
-"""The lily of 3.2: one pistil, six stamens, six petals."""
+"""The lily of the paper's section 3.2: one pistil, six stamens, six petals."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def lily(seed: int = 0) -> Flower:
     """A lily: two whorls of three tepals, six stamens with versatile anthers, a pistil of one style.
 
     Args:
-        seed: Of the small differences between organs.
+        seed: The seed of the small differences between organs.
     """
     rng = np.random.default_rng(seed)
     tepals, stamens = whorls(3, 3), whorls(3, 3)

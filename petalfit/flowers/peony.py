@@ -40,7 +40,7 @@ def peony(seed: int = 0) -> Flower:
     with the rank.
 
     Args:
-        seed: Of the places of stamens, and of the small differences between organs.
+        seed: The seed of the places of the stamens and of the small differences between organs.
     """
     rng = np.random.default_rng(seed)
     petals, stamens = recursion(48, growth=0.985), scattered(90, seed)

@@ -1,7 +1,7 @@
-"""Where organs stand around the axis: whorls, the paper's recursion, L-systems, and random places (3.2).
+"""Arrangements of organs around the axis (3.2): whorls, the paper's recursion, L-systems, random places.
 
-Every arrangement says two things of each organ: its azimuth, and its rank, which runs from 0 for the
-outermost to 1 for the innermost. Whatever else changes from outside to inside is a function of the rank.
+An arrangement gives two numbers for each organ: its azimuth, and its rank, from 0 for the outermost to 1
+for the innermost. Everything else that changes from outside to inside is a function of the rank.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ import numpy as np
 from jaxtyping import Float
 
 GOLDEN_ANGLE = math.pi * (3 - math.sqrt(5))  # 137.5°
-# More symbols than this are a mistake: a word grows exponentially with its generations.
+# A longer word is taken for a mistake: words grow exponentially with the number of generations.
 _LONGEST_WORD = 1_000_000
 
 
 class Arrangement(NamedTuple):
-    """Places of k organs.
+    """The places of k organs around the axis.
 
     Attributes:
-        azimuth: About the flower's axis, in rad, from x towards z; shape (k,).
-        rank: 0 outside to 1 inside; shape (k,).
+        azimuth: The angles about the flower's axis, in rad, from x towards z; shape (k,).
+        rank: The ranks, from 0 outside to 1 inside; shape (k,).
     """
 
     azimuth: Float[np.ndarray, " k"]
@@ -35,13 +35,13 @@ class Arrangement(NamedTuple):
 
 
 def whorls(*counts: int) -> Arrangement:
-    """Whorls of organs at equal angles, the outer first; each stands in the gaps of the one before.
+    """Whorls of organs at equal angles, the outermost first; each whorl fills the gaps of the last one.
 
     Args:
-        counts: Organs in every whorl, at least 1 each: `whorls(3, 3)` for the tepals of a lily.
+        counts: The number of organs of each whorl, at least 1; `whorls(3, 3)` for the tepals of a lily.
 
     Raises:
-        ValueError: A count is less than 1, or there is none.
+        ValueError: A count is less than 1, or no count is given.
     """
     _require_counts(*counts)
     azimuths, turn = [], 0.0
@@ -53,14 +53,14 @@ def whorls(*counts: int) -> Arrangement:
 
 
 def recursion(count: int, divergence: float = GOLDEN_ANGLE, growth: float = 1.0) -> Arrangement:
-    """The paper's recursion: every organ stands a turn further and a step further in than the last.
+    """The paper's recursion: each organ is turned by an angle and one step further in than the last one.
 
     Args:
-        count: How many organs, at least 1.
-        divergence: Angle between an organ and the next, in rad. The golden angle, the default, is the
-            spiral of most flowers: no two organs ever stand in line.
-        growth: Every step inwards in units of the one before: 1 for equal ones, less to crowd organs
-            inside.
+        count: The number of organs, at least 1.
+        divergence: The angle between an organ and the next one, in rad. The default, the golden angle,
+            gives the spiral of most flowers, in which no two organs are ever in line.
+        growth: The ratio of each step inwards to the previous one: 1 for equal steps, less than 1 to
+            crowd organs inside.
 
     Raises:
         ValueError: The count is less than 1, or the growth not positive.
@@ -81,12 +81,12 @@ def recursion(count: int, divergence: float = GOLDEN_ANGLE, growth: float = 1.0)
 def scattered(count: int, seed: int) -> Arrangement:
     """Random places: "the position of stamens and petals are determined by random number" (3.2).
 
-    Uniform over the disc within the outermost organ, and apart as good candidates are: of ten random
-    places each organ takes the one farthest from those before it.
+    Places are uniform over the disc within the outermost organ and kept apart: each organ takes, of ten
+    random places, the one farthest from all earlier organs.
 
     Args:
-        count: How many organs, at least 1.
-        seed: The same seed gives the same places.
+        count: The number of organs, at least 1.
+        seed: The random seed; the same seed gives the same places.
 
     Raises:
         ValueError: The count is less than 1.
@@ -105,10 +105,10 @@ def scattered(count: int, seed: int) -> Arrangement:
 
 
 def rewrite(axiom: str, rules: Mapping[str, str], generations: int) -> str:
-    """The word of an L-system: every symbol replaced by its rule, again and again (Lindenmayer 1968).
+    """The word of an L-system: in each generation, rules replace all symbols (Lindenmayer 1968).
 
     Raises:
-        ValueError: Negative generations, or a word of more than a million symbols.
+        ValueError: `generations` is negative, or the word has more than a million symbols.
     """
     if generations < 0:
         raise ValueError(f"generations must be 0 or more; received {generations}")
@@ -126,20 +126,21 @@ def rewrite(axiom: str, rules: Mapping[str, str], generations: int) -> str:
 def l_system(
     axiom: str, rules: Mapping[str, str], generations: int, angle: float = GOLDEN_ANGLE
 ) -> Arrangement:
-    """Places that the word of an L-system draws around the axis.
+    """The places around the axis that a turtle visits as it follows the word of an L-system.
 
-    `O` puts an organ where the turtle is; `+` and `-` turn it by `angle`; `^` climbs one step inwards and
-    `v` one outwards; `[` keeps its place, and `]` goes back to it. Other symbols draw nothing. Whorls of
-    three, each turned against the last, are `l_system("A", {"A": "[O][++O][++++O]+^A"}, n, π/3)`.
+    `O` puts an organ at the turtle's place; `+` and `-` turn the turtle about the axis by `angle`; `^`
+    moves it one step inwards and `v` one step outwards; `[` saves its place and `]` returns to the saved
+    place. Other symbols do nothing. Whorls of three, each turned against the last one, are
+    `l_system("A", {"A": "[O][++O][++++O]+^A"}, n, π/3)`.
 
     Args:
-        axiom: The first word.
-        rules: What a symbol becomes in the next generation; others stay.
-        generations: How often all symbols are replaced.
-        angle: In rad.
+        axiom: The word of generation 0.
+        rules: The replacement of each symbol in the next generation; symbols without a rule stay.
+        generations: The number of generations.
+        angle: The angle of one turn, in rad.
 
     Raises:
-        ValueError: The word is too long, puts no organ, or goes back to a place that it did not keep.
+        ValueError: The word is too long, puts no organ, or returns to a place that it has not saved.
     """
     turn, depth, kept, places = 0.0, 0.0, [], []
     for symbol in rewrite(axiom, rules, generations):

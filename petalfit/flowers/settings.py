@@ -1,4 +1,4 @@
-"""The numbers of a flower by name: "petal.dy" of all petals, "petal_3.dy" of one."""
+"""Access to the numbers of a flower by name: "petal.dy" for all petals, "petal_3.dy" for one."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from petalfit.surfaces import Parameter, value_at, with_value
 
 
 class FlowerError(ValueError):
-    """A flower that cannot be grown as it is described; the message says why and what to do."""
+    """A flower that cannot be grown as described; the message says why and what to do."""
 
 
 def with_settings(flower: Flower, settings: Mapping[str, float]) -> Flower:
@@ -24,9 +24,9 @@ def with_settings(flower: Flower, settings: Mapping[str, float]) -> Flower:
 
     Args:
         flower: The flower.
-        settings: Values by name: of "receptacle", "pedicel", a series ("petal") or one organ of it
-            ("petal_3"), a dot, and a parameter of the organ ("dy", "filament.h") or of how it stands
-            ("opening").
+        settings: The new values by name. A name is an organ ("receptacle", "pedicel", all of a series
+            as "petal", or one as "petal_3"), a dot, and a parameter of the organ ("dy", "filament.h") or
+            of its attachment ("opening").
 
     Raises:
         FlowerError: A name is unknown, or a value is out of range.
@@ -70,10 +70,10 @@ def declared(organ: eqx.Module, path: str, name: str, others: list[str] | None =
     """The declaration of a parameter of an organ.
 
     Args:
-        organ: The organ, or one of a series.
-        path: Of the parameter within it.
-        name: Of the organ, for the complaint.
-        others: Further names that could have been meant.
+        organ: The organ, or one organ of a series.
+        path: The name of the parameter within the organ.
+        name: The name of the organ, for the error message.
+        others: Further parameter names that the error message lists.
 
     Raises:
         FlowerError: There is no such parameter.
@@ -86,10 +86,10 @@ def declared(organ: eqx.Module, path: str, name: str, others: list[str] | None =
 
 
 def checked(value: Any, path: str, parameter: Parameter, name: str) -> float:
-    """A value that is a number within the parameter's range.
+    """Checks that a value is a number within the parameter's range, and returns it.
 
     Raises:
-        FlowerError: It is not.
+        FlowerError: The value is not a number, or out of range.
     """
     low, high = parameter.bounds
     if isinstance(value, bool) or not isinstance(value, int | float | np.floating):

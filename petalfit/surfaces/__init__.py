@@ -1,4 +1,4 @@
-"""Differentiable surfaces: a map (u, v) → ℝ³ and what follows from the map alone."""
+"""Differentiable surfaces: maps (u, v) → ℝ³, and all that follows from the map alone."""
 
 from petalfit.surfaces.cells import cells as cells
 from petalfit.surfaces.deformation import AbstractDeformedSurface as AbstractDeformedSurface

@@ -1,4 +1,4 @@
-"""Cells of a domain, in which places of a surface are counted."""
+"""A division of a domain into equal cells, in which places of a surface are counted."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def cells(
     Args:
         domain: The ranges of u and v, which are divided into side × side equal cells.
         uv: The places, shape (n, 2).
-        side: How many cells there are along u, and along v.
+        side: The number of cells along u, and along v.
 
     Returns:
         The number along u and the number along v of each place's cell, each of shape (n,).

@@ -1,4 +1,4 @@
-"""Deformation by composition: a base shape, an offset of its points, a height along its normal."""
+"""Deformed surfaces: a base shape, an offset of its points, and a height along its normal."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from petalfit.surfaces.surface import AbstractSurface
 
 
 class AbstractDeformedSurface(AbstractSurface):
-    """S = P + n Δg(u, v, P) with P = base(u, v) + offset(u, v): the additive deformation of the paper.
+    """The paper's additive deformation: S = P + n Δg(u, v, P) with P = base(u, v) + offset(u, v).
 
-    `n` is the unit normal of the *undeformed* base, by autodiff. `height` receives P, the point after
-    the offset and before the height, because Δg of Eq. 8 is a function of the outline's own x and y.
+    n is the unit normal of the *undeformed* base, by automatic differentiation. `height` receives P, the
+    point after the offset and before the height, because Δg of Eq. 8 depends on x and y of that point.
     """
 
     @property
@@ -23,16 +23,16 @@ class AbstractDeformedSurface(AbstractSurface):
         """The undeformed shape."""
 
     def offset(self, u: Array, v: Array) -> Array:
-        """Displacement of the base's points, shape (..., 3); for a petal (Δx, Δy, 0)."""
+        """The displacement of the base's points, shape (..., 3); for a petal (Δx, Δy, 0)."""
         return jnp.zeros((*u.shape, 3), u.dtype)
 
     def height(self, u: Array, v: Array, point: Array) -> Array:
-        """Displacement Δg along the base's unit normal, shape (...)."""
+        """The displacement Δg along the base's unit normal, shape (...)."""
         return jnp.zeros_like(u)
 
     def position(self, u: Array, v: Array) -> Array:
         base = self.base
         point = base.position(u, v) + self.offset(u, v)
         if type(self).height is AbstractDeformedSurface.height:
-            return point  # and spare the normal, which is most of the work
+            return point  # without heights the normal, most of the work, is not needed
         return point + base.normal(u, v) * self.height(u, v, point)[..., None]

@@ -1,4 +1,4 @@
-"""A differentiable map (u, v) → ℝ³, and everything that follows from its derivatives alone."""
+"""The differentiable map (u, v) → ℝ³, with tangents, normals and areas from its derivatives."""
 
 from __future__ import annotations
 
@@ -13,32 +13,37 @@ from jaxtyping import Array, ArrayLike, Float, Real
 
 from petalfit.surfaces.traits import Oscillation
 
-# A parameter's value. Leaves stay as they are given: a Python float keeps its 64 bits whatever
-# precision jax computes in.
+# The value of a parameter. Leaves are kept as given: a Python float keeps its 64 bits, whatever
+# the precision that jax computes in.
 Scalar: TypeAlias = float | int | np.floating | Real[Array, ""] | Real[np.ndarray, ""]
 
 
 class Domain(NamedTuple):
-    """The rectangle of parameters that a surface is defined on."""
+    """The domain of a surface: the rectangle of its parameters u and v.
+
+    Attributes:
+        u: The least and the greatest u.
+        v: The least and the greatest v.
+    """
 
     u: tuple[float, float]
     v: tuple[float, float]
 
 
 class AbstractMap(eqx.Module):
-    """A surface S(u, v) in ℝ³. A subclass gives `domain` and `position`; the rest follows by autodiff.
+    """A map S(u, v) to ℝ³. A subclass defines `domain` and `position`; autodiff gives the rest.
 
-    `position` is written with `jax.numpy`, elementwise in u and v, so that everything here works on
-    arrays of any shape without `vmap`. The leaves of the module are the surface's parameters.
+    `position` is written with `jax.numpy`, elementwise in u and v, so that all methods work on arrays of
+    any shape without `vmap`. The leaves of the module are the surface's parameters.
 
     Attributes:
-        domain: Ranges of u and v.
-        orientation: +1 where ∂S/∂u × ∂S/∂v is the outward normal (+z for the rectangle), −1 where the
-            paper's parametrisation makes it point inward.
-        regular: True promises that the tangents are independent everywhere, which spares `normal` the
-            care that poles need (half the cost of a deformed surface's derivatives).
-        edges: Whether the surface ends where u does, and where v does. Without, the map goes on there: it
-            runs around, or over a pole.
+        domain: The ranges of u and v.
+        orientation: +1 if ∂S/∂u × ∂S/∂v is the outward normal (+z for the rectangle), −1 if the paper's
+            parametrisation makes it point inward.
+        regular: True promises that the tangents are independent everywhere. `normal` then skips the
+            treatment of poles, which is half the cost of a deformed surface's derivatives.
+        edges: Whether the surface has edges at the ends of u, and at the ends of v. Without an edge, the
+            map continues beyond the end: it is periodic, or passes over a pole.
         oscillation: The two parameters of a pattern of many waves, if the surface has one.
     """
 
@@ -50,10 +55,11 @@ class AbstractMap(eqx.Module):
 
     @property
     def shadow(self) -> AbstractMap | None:
-        """A surface in the plane z = 0 that lies straight below this one, place by place.
+        """The projection of this surface onto the plane z = 0, with the same (u, v), or None.
 
-        Foot points are first guessed there: the nearest place of a surface with fine waves is often
-        on the wrong wave. None (the default) guesses them at the nearest place of the surface itself.
+        First guesses of foot points are taken from it, because the nearest place of a surface with fine
+        waves is often on the wrong wave. With None (the default) they are the nearest places of the
+        surface itself.
         """
         return None
 
@@ -61,19 +67,20 @@ class AbstractMap(eqx.Module):
     def position(
         self, u: Float[Array, "*shape"], v: Float[Array, "*shape"]
     ) -> Float[Array, "*shape 3"]:
-        """The map itself, for u and v of one shape."""
+        """The points S(u, v), for u and v of the same shape."""
 
     def __call__(
         self, u: Real[ArrayLike, "..."], v: Real[ArrayLike, "..."]
     ) -> Float[Array, "... 3"]:
-        """Points S(u, v).
+        """The points S(u, v).
 
         Args:
-            u: Values of the first parameter, any shape; broadcast against `v`.
+            u: Values of the first parameter, of any shape that broadcasts with `v`.
             v: Values of the second parameter.
 
         Returns:
-            Points, the broadcast shape followed by 3, in the unit of the surface's lengths.
+            The points, in the unit of the surface's lengths; their shape is the broadcast shape followed
+            by 3.
         """
         return self.position(*broadcast_floats(u, v))
 
@@ -85,7 +92,7 @@ class AbstractMap(eqx.Module):
         return tangent_u, tangent_v
 
     def normal(self, u: Real[ArrayLike, "..."], v: Real[ArrayLike, "..."]) -> Float[Array, "... 3"]:
-        """Unit normals, shape (..., 3), by automatic differentiation of the map.
+        """The unit normals, shape (..., 3), by automatic differentiation of the map.
 
         Where a tangent vanishes, as ∂S/∂v does at the poles of an ellipsoid, the normal is the limit
         from inside the domain; values and first derivatives stay finite there.
@@ -98,13 +105,13 @@ class AbstractMap(eqx.Module):
         return self.orientation * cross / jnp.sqrt(jnp.where(squared > 0, squared, 1.0))
 
     def _away_from_poles(self, u: Array, v: Array, cross: Array) -> Array:
-        """N = ∂u × ∂v, replaced by a vector of its limit's direction where it vanishes."""
+        """N = ∂S/∂u × ∂S/∂v, or, where that vanishes, a vector in the direction of its limit."""
         _, tangents = position_and_tangents(self, u, v)
         scale = jnp.sum(tangents**2, (0, -1))[..., None]
         squared = jnp.sum(cross**2, -1, keepdims=True)
         degenerate = squared <= (32 * jnp.finfo(cross.dtype).eps * scale) ** 2
-        # At a pole N vanishes like h·N', with h the distance into the domain. N/h = N' + h·N''/2:
-        # evaluating N' at half the offset gives the right slope as well as the right value.
+        # At a pole N vanishes like h·N', with h the distance into the domain. Since N/h = N' + h·N''/2,
+        # N' evaluated at half the offset has the right slope as well as the right value.
         (u_low, u_high), (v_low, v_high) = self.domain
         inward = jax.tree.map(
             jax.lax.stop_gradient, (0.5 * (u_low + u_high) - u, 0.5 * (v_low + v_high) - v)
@@ -116,13 +123,13 @@ class AbstractMap(eqx.Module):
     def area_element(
         self, u: Real[ArrayLike, "..."], v: Real[ArrayLike, "..."]
     ) -> Float[Array, "..."]:
-        """|∂S/∂u × ∂S/∂v|, the area per unit of du dv; zero with a zero gradient at a pole."""
+        """The area per unit of du dv, |∂S/∂u × ∂S/∂v|; at a pole it is zero, with a zero gradient."""
         squared = jnp.sum(_cross(self, *broadcast_floats(u, v)) ** 2, -1)
         positive = squared > 0
         return jnp.where(positive, jnp.sqrt(jnp.where(positive, squared, 1.0)), 0.0)
 
     def area(self, resolution: tuple[int, int] = (512, 256)) -> Float[Array, ""]:
-        """Surface area by the midpoint rule on `resolution` cells, in the unit of length squared."""
+        """The surface area by the midpoint rule on `resolution` cells, in the unit of length squared."""
         (u_low, u_high), (v_low, v_high) = self.domain
         n_u, n_v = resolution
         u = u_low + (u_high - u_low) * (jnp.arange(n_u) + 0.5) / n_u
@@ -132,7 +139,7 @@ class AbstractMap(eqx.Module):
 
 
 def broadcast_floats(u: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
-    """Both as floating point arrays of one shape."""
+    """Converts u and v to floating point arrays of the same shape."""
     dtype = jnp.result_type(u, v, float)
     u, v = jnp.broadcast_arrays(jnp.asarray(u, dtype), jnp.asarray(v, dtype))
     return u, v
@@ -141,7 +148,7 @@ def broadcast_floats(u: ArrayLike, v: ArrayLike) -> tuple[Array, Array]:
 def position_and_tangents(
     surface: AbstractMap, u: Float[Array, "*shape"], v: Float[Array, "*shape"]
 ) -> tuple[Float[Array, "*shape 3"], Float[Array, "2 *shape 3"]]:
-    """S, and ∂S/∂u and ∂S/∂v stacked in front, by one pass through the map."""
+    """S, and the tangents ∂S/∂u and ∂S/∂v along a new first axis, by one pass through the map."""
 
     def along(du: ArrayLike, dv: ArrayLike) -> tuple[Array, Array]:
         return jax.jvp(surface.position, (u, v), (jnp.full_like(u, du), jnp.full_like(v, dv)))
@@ -150,7 +157,7 @@ def position_and_tangents(
 
 
 def _cross(surface: AbstractMap, u: Array, v: Array) -> Array:
-    # Written out: under vmap and grad, `jnp.cross` costs twice as much.
+    # Written out, because `jnp.cross` costs twice as much under vmap and grad.
     _, tangents = position_and_tangents(surface, u, v)
     (a_x, a_y, a_z), (b_x, b_y, b_z) = (jnp.unstack(tangent, axis=-1) for tangent in tangents)
     return jnp.stack([a_y * b_z - a_z * b_y, a_z * b_x - a_x * b_z, a_x * b_y - a_y * b_x], axis=-1)

@@ -1,8 +1,9 @@
-"""The outline of a surface as a camera sees it: rims and folds, where nothing of the surface lies beyond.
+"""The outline of a surface in the image of a camera: the rims and folds that bound its silhouette.
 
-A rim is an edge of the domain; a fold is where the line of sight touches the surface. Crossing a rim
-outwards, one sheet less is seen; crossing a fold, two less. A place of either kind is on the outline if
-just outside of it no sheet is left. Sheets are counted by winding numbers: those of the triangles of a
+A rim is an edge of the domain; a fold is where the line of sight is tangent to the surface. A line of
+sight meets the surface in a number of layers, here called sheets. Across a rim outwards this number
+decreases by one, across a fold by two. A place on a rim or fold belongs to the outline if no sheet is
+left just outside of it. Sheets are counted by winding numbers: the winding numbers of the triangles of a
 mesh, each taken as positive, add up to those of its rims and folds alone, since all other edges cancel.
 """
 
@@ -20,19 +21,20 @@ from petalfit.observations import Camera
 from petalfit.surfaces.map import AbstractMap, position_and_tangents
 from petalfit.surfaces.programs import grid_positions
 
-PLACES = 1536  # always as many, so that one program serves all
-_OUTSIDE = 1e-3  # pixels
-_MOST = 4_000_000  # pairs of places and edges that are looked at in one go
+PLACES = 1536  # a fixed number, so that all outlines share one compiled program
+_OUTSIDE = 1e-3  # pixels between an edge and the place just outside of it
+_MOST = 4_000_000  # pairs of places and edges that are processed at a time
 
 
 class Edges(NamedTuple):
-    """Rims and folds of a mesh on a regular grid, as it is seen in an image.
+    """The edges on rims and folds of a mesh on a regular grid, projected into an image.
 
     Attributes:
-        start: Vertices where they begin, as numbers of the flattened grid, shape (k,).
-        end: Where they end; the surface lies on the left in the sense in which x × y is positive.
-        sheets: How many sheets end there: 1 for a rim, 2 for a fold.
-        along: Direction in (u, v) for rims; zero for folds; shape (k, 2).
+        start: The vertices where the edges begin, as indices into the flattened grid, shape (k,).
+        end: The vertices where they end, shape (k,). From start to end the surface lies on the left, in
+            the sense in which x × y is positive.
+        sheets: The number of sheets that end at each edge: 1 for a rim, 2 for a fold; shape (k,).
+        along: The direction in (u, v) of a rim, or zero for a fold; shape (k, 2).
     """
 
     start: Int[np.ndarray, " k"]
@@ -42,13 +44,13 @@ class Edges(NamedTuple):
 
 
 class Outline(NamedTuple):
-    """Places on the outline at even distances in the image; `PLACES` of them.
+    """`PLACES` places on an outline, evenly spaced in the image.
 
     Attributes:
-        uv: Where on the surface, shape (n, 2).
-        place: Where in the image, in pixels, shape (n, 2).
+        uv: The places on the surface (u, v), shape (n, 2).
+        place: The places in the image (x, y), in pixels, shape (n, 2).
         normal: Unit normals in the image, pointing away from the surface, shape (n, 2).
-        length: How much of the outline each stands for, in pixels, shape (n,).
+        length: The length of outline that each place stands for, in pixels, shape (n,).
     """
 
     uv: Float[np.ndarray, "n 2"]
@@ -62,12 +64,13 @@ def outline(
 ) -> Outline:
     """The outline of a surface. Call it inside `jax.enable_x64(True)`.
 
-    What is on it is decided on a mesh; its places lie on the surface's own rims and folds.
+    A mesh decides which rims and folds belong to the outline; its places then lie on those of the surface
+    itself.
 
     Args:
-        surface: Any surface, in front of the camera.
-        camera: In the surface's frame and unit.
-        resolution: Vertices of the mesh along u and along v.
+        surface: Any surface in front of the camera.
+        camera: The camera, in the surface's frame and unit.
+        resolution: The numbers of vertices of the mesh along u and along v.
     """
     u, v = (np.linspace(*side, n) for side, n in zip(surface.domain, resolution, strict=True))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -79,12 +82,12 @@ def outline(
     normal = np.stack([across[:, 1], -across[:, 0]], axis=-1) / np.maximum(length, 1e-12)[:, None]
     outside = 0.5 * (xy[edges.start] + xy[edges.end]) + _OUTSIDE * normal
     seen = (sheets(outside, xy, edges) <= 0) & (length > 1e-9)
-    if not seen.any():  # a surface that is a line in this view, or behind the eye
+    if not seen.any():  # the surface is seen edge-on, as a line, or lies behind the eye
         seen = edges.sheets == 1
         length = np.maximum(length, 1e-9)
     edges = Edges(*(field[seen] for field in edges))
     length, normal = length[seen], normal[seen]
-    # Even distances along all edges, one after the other.
+    # Places are evenly spaced along all edges, one edge after the other.
     run = np.cumsum(length)
     along = (np.arange(PLACES) + 0.5) * run[-1] / PLACES
     which = np.searchsorted(run, along)
@@ -105,15 +108,16 @@ def outline(
 
 
 def rims_and_folds(grid: Float[np.ndarray, "n m 2"]) -> Edges:
-    """The edges of a projected grid that have one triangle, or two that are seen from different sides.
+    """The rims and folds of a projected grid.
 
-    Folds come first. Every cell is cut along its diagonal from the vertex (i, j) to (i + 1, j + 1).
+    A rim is an edge of one triangle, a fold one of two triangles that show different sides. Folds come
+    first. Every cell is divided along its diagonal from the vertex (i, j) to (i + 1, j + 1).
     """
     number = np.arange(grid.shape[0] * grid.shape[1]).reshape(grid.shape[:2])
     a, b, c = (x - grid[:-1, :-1] for x in (grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]))
     lower, upper = _cross(a, b) >= 0, _cross(b, c) >= 0
-    # For each kind: the lower and the upper of two neighbouring vertices, whether both triangles
-    # differ, and whether the surface lies on the left on the way from the one to the other.
+    # For each kind of edge: the lower and the upper vertex, for folds whether the two triangles show
+    # different sides, and whether the surface lies on the left on the way from lower to upper vertex.
     folds = [
         (number[:-1, :-1], number[1:, 1:], lower != upper, upper),
         (number[:-1, 1:-1], number[1:, 1:-1], lower[:, 1:] != upper[:, :-1], lower[:, 1:]),
@@ -138,7 +142,7 @@ def rims_and_folds(grid: Float[np.ndarray, "n m 2"]) -> Edges:
 def sheets(
     places: Float[np.ndarray, "n 2"], xy: Float[np.ndarray, "m 2"], edges: Edges
 ) -> Int[np.ndarray, " n"]:
-    """How many sheets of the mesh are seen at places of the image, which lie on no edge."""
+    """The number of sheets of the mesh at places of the image that do not lie on an edge."""
     (start_x, start_y), (end_x, end_y) = xy[edges.start].T, xy[edges.end].T
     rises = end_y > start_y
     count = np.where(rises, 1.0, -1.0) * edges.sheets
@@ -148,7 +152,7 @@ def sheets(
     step = max(1, _MOST // max(1, len(count)))
     for first in range(0, len(places), step):
         x, y = places[first : first + step, :1], places[first : first + step, 1:]
-        # A ray to the right of the place meets the edge.
+        # Whether a ray from the place to the right meets the edge.
         met = (low <= y) & (y < high) & (start_x + (y - start_y) * slope > x)
         found[first : first + step] = np.rint(met @ count)
     return found
@@ -161,7 +165,7 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def image_and_tangents(
     surface: AbstractMap, matrix: Float[Array, "3 4"], uv: Float[Array, "n 2"]
 ) -> tuple[Float[Array, "n 2"], Float[Array, "2 n 2"]]:
-    """Places in the image, and their derivatives by u and by v stacked in front."""
+    """Places in the image, and their derivatives by u and by v along a new first axis."""
     position, tangents = position_and_tangents(surface, uv[:, 0], uv[:, 1])
     seen, moved = position @ matrix[:, :3].T + matrix[:, 3], tangents @ matrix[:, :3].T
     place = seen[:, :2] / seen[:, 2:]
@@ -174,7 +178,7 @@ def _outline_places(
     uv: Float[Array, "n 2"],
     along: Float[Array, "n 2"],
 ) -> tuple[Float[Array, "n 2"], Float[Array, "n 2"], Float[Array, "n 2"]]:
-    """The first places, near folds, moved onto them; where all are seen, and normals of either sign."""
+    """The places `uv` with those near folds moved onto them, their images, and normals of either sign."""
     low, high = (jnp.asarray(side, uv.dtype) for side in zip(*surface.domain, strict=True))
 
     def facing(uv: Array) -> Array:
@@ -200,7 +204,7 @@ def _outline_places(
     near = jax.lax.fori_loop(0, chunks, moved, uv)
     uv = jnp.where(on_fold, near, uv)
     place, tangents = image_and_tangents(surface, matrix, uv)
-    # On a fold both tangents are seen along it: the longer one tells the direction best.
+    # On a fold the images of both tangents lie along it; the longer one gives the direction best.
     squares = jnp.sum(tangents**2, axis=-1)
     longer = jnp.where((squares[0] > squares[1])[:, None], tangents[0], tangents[1])
     rim = along[:, :1] * tangents[0] + along[:, 1:] * tangents[1]
@@ -209,6 +213,6 @@ def _outline_places(
     return uv, place, jnp.stack([tangent[:, 1], -tangent[:, 0]], axis=-1)
 
 
-_CHUNK = 64  # places, of which PLACES is a multiple
-_LEAP = 0.02  # of the domain, the most that a fold is away from the mesh's
+_CHUNK = 64  # places that are moved at a time; PLACES is a multiple of it
+_LEAP = 0.02  # largest step towards a fold, as a fraction of the domain
 _places = Program(_outline_places)

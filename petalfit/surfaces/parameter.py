@@ -1,4 +1,4 @@
-"""The one declaration of a model parameter, from which bounds, starts, reports and help follow."""
+"""Declarations of model parameters, from which bounds, starts, reports and help are derived."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from typing import Any, TypeVar
 import equinox as eqx
 
 _KEY = "petalfit.parameter"
-# Metadata of a field that holds a component whose parameters are the whole's own, by their plain names.
+# Metadata of a field whose component's parameters count as those of the whole, by their plain names.
 WRAPPED = {"petalfit.wrapped": True}
 Tree = TypeVar("Tree", bound=eqx.Module)
 
 
 @dataclasses.dataclass(frozen=True)
 class Parameter:
-    """What is known of a parameter before any data.
+    """The declaration of a parameter: what is known of it before any data.
 
     Attributes:
-        symbol: As the paper writes it, for tables and reports.
+        symbol: The symbol of the paper, for tables and reports.
         unit: "length" (the target's unit), "rad", or "1" for a pure number.
-        bounds: A fit never leaves this open interval.
-        typical: The range that starts are drawn from; also the prior range against which a fit judges
-            whether the data determine the parameter.
-        meaning: One line for tables and help.
-        fixed: Held at its value unless named in `free`.
+        bounds: The open interval that a fit never leaves.
+        typical: The range that starts are drawn from. It is also the prior range against which a fit
+            decides whether the data determine the parameter.
+        meaning: A description in one line, for tables and help.
+        fixed: Whether a fit holds the parameter at its value unless `free` names it.
     """
 
     symbol: str
@@ -37,12 +37,12 @@ class Parameter:
 
 
 def parameter(default: float, **declaration: Any) -> Any:
-    """A field of a component, declared as a `Parameter`.
+    """A field of a component that is declared as a `Parameter`.
 
     Args:
-        default: Its value when not given.
-        declaration: The attributes of a `Parameter`: symbol, unit, bounds, typical, meaning and, if need
-            be, fixed.
+        default: The value of the field if none is given.
+        declaration: The attributes of a `Parameter`: symbol, unit, bounds, typical, meaning and,
+            optionally, fixed.
     """
     return eqx.field(default=default, metadata={_KEY: Parameter(**declaration)})
 
@@ -55,7 +55,7 @@ def length(
     meaning: str,
     fixed: bool = False,
 ) -> Any:
-    """A field that is a length in the unit of the surface."""
+    """A parameter field for a length in the unit of the surface."""
     return _in_unit("length", default, symbol, bounds, typical, meaning, fixed)
 
 
@@ -67,7 +67,7 @@ def angle(
     meaning: str,
     fixed: bool = False,
 ) -> Any:
-    """A field that is an angle in rad."""
+    """A parameter field for an angle in rad."""
     return _in_unit("rad", default, symbol, bounds, typical, meaning, fixed)
 
 
@@ -79,7 +79,7 @@ def number(
     meaning: str,
     fixed: bool = False,
 ) -> Any:
-    """A field without a unit."""
+    """A parameter field for a number without a unit."""
     return _in_unit("1", default, symbol, bounds, typical, meaning, fixed)
 
 
@@ -104,23 +104,23 @@ def _in_unit(
 
 
 def value_at(model: eqx.Module, name: str) -> Any:
-    """The value of a parameter by its name, "h" or "filament.h"."""
+    """The value of a parameter, by its name such as "h" or "filament.h"."""
     return attrgetter(name)(model)
 
 
 def with_value(model: Tree, name: str, value: Any) -> Tree:
-    """The model with another value of a parameter."""
+    """A copy of the model with another value of one parameter."""
     return eqx.tree_at(attrgetter(name), model, value)
 
 
 def parameters(model: eqx.Module | type[eqx.Module]) -> dict[str, Parameter]:
-    """The declared parameters of a component or a pattern, by name, in their order of declaration.
+    """The declared parameters of a component or a pattern, by name, in the order of declaration.
 
-    Those of a component in a field come at the field's place, by dotted names ("filament.h"), or by their
-    own if the field is `WRAPPED`.
+    If a field holds a component, that component's parameters stand at the field's place. Their names are
+    dotted ("filament.h"), or plain if the field is `WRAPPED`.
 
     Args:
-        model: A class, or an instance of one.
+        model: A class of components or patterns, or an instance of one.
     """
     found = {}
     for field in dataclasses.fields(model):

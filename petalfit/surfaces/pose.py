@@ -1,4 +1,4 @@
-"""A similarity between two frames."""
+"""Poses: similarities from one frame to another."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ Numbers: TypeAlias = Array | np.ndarray
 
 
 class Pose(eqx.Module):
-    """Maps the model's frame to the target's: x_target = scale · R x_model + t.
+    """A similarity from the model's frame to the target's: x_target = scale · R x_model + t.
 
     Arrays may have leading axes, for a batch of poses.
 
     Attributes:
-        rotation: R_target_model, shape (..., 3, 3).
+        rotation: The rotation R from the model's frame to the target's, shape (..., 3, 3).
         translation: t, shape (..., 3), in the target's unit.
-        scale: Positive, shape (...).
+        scale: The scale, positive, shape (...).
     """
 
     rotation: Float[Numbers, "*batch 3 3"]
@@ -31,27 +31,27 @@ class Pose(eqx.Module):
 
     @classmethod
     def identity(cls) -> Pose:
-        """The pose of a target that is in the model's frame."""
+        """The pose of a target that is already in the model's frame."""
         return cls(np.eye(3), np.zeros(3), 1.0)
 
     @classmethod
     def at(cls, x: Scalar, y: Scalar, z: Scalar) -> Pose:
-        """A bare translation to a place given by scalars."""
+        """A pure translation to the place (x, y, z)."""
         place = jnp.stack([jnp.asarray(part, float) for part in (x, y, z)])
         return cls(np.eye(3), place, 1.0)
 
     def __call__(self, points: Float[Numbers, "*batch 3"]) -> Float[Array, "*batch 3"]:
-        """Points of the model's frame, in the target's; for a pose without leading axes."""
+        """Maps points from the model's frame to the target's; for a pose without leading axes."""
         turned = jnp.asarray(points) @ jnp.asarray(self.rotation).T
         return jnp.asarray(self.scale * turned + self.translation)
 
     def into(self, points: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
-        """Points of the target's frame, in the model's; for a pose without leading axes."""
+        """Maps points from the target's frame to the model's; for a pose without leading axes."""
         turned = (points - np.asarray(self.translation)) @ np.asarray(self.rotation)
         return turned / float(self.scale)
 
     def __matmul__(self, inner: Pose) -> Pose:
-        """First the inner pose, then this one; neither has leading axes."""
+        """The composition that applies `inner` first, then this pose; neither has leading axes."""
         return Pose(
             jnp.asarray(self.rotation) @ inner.rotation,
             self(inner.translation),
@@ -59,7 +59,7 @@ class Pose(eqx.Module):
         )
 
     def matrix(self) -> Float[np.ndarray, "*batch 4 4"]:
-        """Homogeneous matrices."""
+        """The pose as homogeneous matrices, shape (..., 4, 4)."""
         rotation = np.asarray(self.rotation)
         matrix = np.zeros((*rotation.shape[:-2], 4, 4))
         matrix[..., :3, :3] = np.asarray(self.scale)[..., None, None] * rotation
@@ -75,11 +75,11 @@ def turn_between(one: Float[Numbers, "3 3"], other: Float[Numbers, "3 3"]) -> fl
 
 
 def rotation(turn: Float[Array, "3"]) -> Float[Array, "3 3"]:
-    """The rotation about a vector by its length in rad, with finite derivatives at zero."""
+    """The rotation about a vector by its length in rad; its derivatives at zero are finite."""
     squared = jnp.sum(turn**2)
     small = squared < 1e-8
     angle = jnp.sqrt(jnp.where(small, 1.0, squared))
-    # sin(a)/a and (1 - cos a)/a².
+    # Rodrigues' coefficients sin(a)/a and (1 - cos a)/a².
     first = jnp.where(small, 1 - squared / 6, jnp.sin(angle) / angle)
     second = jnp.where(small, 0.5 - squared / 24, (1 - jnp.cos(angle)) / angle**2)
     x, y, z = jnp.unstack(turn)

@@ -1,4 +1,4 @@
-"""Area-uniform random samples of a surface."""
+"""Random samples of a surface, uniform by area."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ from petalfit.observations import PointCloud
 from petalfit.surfaces.map import AbstractMap
 from petalfit.surfaces.programs import area_element, position_and_normal
 
-# Cells of the proposal density. Fine enough for the peony's midrib (1/40 of the width) and ribs.
+# Cells of the proposal density, fine enough for the peony's midrib (1/40 of the width) and ribs.
 _CELLS = (512, 128)
-_MARGIN = 1.1  # of the envelope over the largest area element at a cell's corners
+_MARGIN = 1.1  # ratio of the envelope to the largest area element at the corners of a cell
 
 
 def sample(surface: AbstractMap, n: int, seed: int = 0, noise: float = 0.0) -> PointCloud:
-    """Random points, uniform by area, with isotropic Gaussian noise.
+    """Draws random points, uniform by area, with isotropic Gaussian noise.
 
-    Rejection sampling of (u, v) against a piecewise constant envelope of the area element, so that the
-    points lie on no grid.
+    (u, v) are drawn by rejection sampling against a piecewise constant envelope of the area element, so
+    the points do not lie on a grid.
 
     Args:
         surface: Any surface.
-        n: Number of points, at least 1.
-        seed: The same seed gives the same points.
-        noise: Standard deviation of every coordinate, in the unit of length, at least 0.
+        n: The number of points, at least 1.
+        seed: The random seed; the same seed gives the same points.
+        noise: The standard deviation of every coordinate, in the unit of length, at least 0.
 
     Returns:
-        `n` points with the unit normals of the surface at their origins.
+        `n` points, each with the unit normal of the surface at the point before noise.
 
     Raises:
         ValueError: `n` or `noise` is out of range, or the surface has no area.
@@ -43,7 +43,7 @@ def sample(surface: AbstractMap, n: int, seed: int = 0, noise: float = 0.0) -> P
 
 
 def sample_uv(surface: AbstractMap, n: int, rng: np.random.Generator) -> Float[np.ndarray, "n 2"]:
-    """The (u, v) that `sample` takes. Call it inside `jax.enable_x64(True)`."""
+    """Draws the (u, v) of `sample`. Call it inside `jax.enable_x64(True)`."""
     low, high = np.array(surface.domain).T
     u, v = (
         np.linspace(*side, cells + 1) for side, cells in zip(surface.domain, _CELLS, strict=True)
@@ -57,7 +57,7 @@ def sample_uv(surface: AbstractMap, n: int, rng: np.random.Generator) -> Float[n
         raise ValueError(f"the surface has no area to sample: {surface}")
     accepted = np.empty((0, 2))
     while len(accepted) < n:
-        # A fixed batch keeps the compiled area element; what is too much is dropped.
+        # Batches of one size reuse the compiled area element; surplus places are dropped.
         batch = max(4096, 1 << (n - 1).bit_length())
         cell = np.searchsorted(cumulative, cumulative[-1] * rng.random(batch), side="right")
         cell = np.stack(np.unravel_index(np.minimum(cell, envelope.size - 1), _CELLS), axis=-1)

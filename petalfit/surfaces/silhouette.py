@@ -1,4 +1,4 @@
-"""Silhouettes of a surface: the exact area that its projected mesh covers in every pixel."""
+"""Silhouettes of a surface: the exact coverage of every pixel by its projected mesh."""
 
 from __future__ import annotations
 
@@ -18,14 +18,15 @@ _GRID = 2.0**-20  # pixels
 def silhouette(
     surface: AbstractMap, camera: Camera, resolution: tuple[int, int] = RESOLUTION
 ) -> Silhouette:
-    """What a camera sees of a surface: for each pixel the share that the surface covers.
+    """The silhouette of a surface for a camera: for each pixel, the fraction that the surface covers.
 
-    Exact for the projected mesh, folds and self-occlusion included, hence unbiased at the edge.
+    It is exact for the projected mesh, including folds and self-occlusion, and therefore unbiased at the
+    edge.
 
     Args:
         surface: Any surface.
-        camera: In the surface's frame and unit.
-        resolution: Vertices of the mesh along u and along v.
+        camera: The camera, in the surface's frame and unit.
+        resolution: The numbers of vertices of the mesh along u and along v.
 
     Raises:
         TargetError: The camera looks away from the surface or stands in it, or sees too little of it.
@@ -36,10 +37,10 @@ def silhouette(
 def outline_rings(
     surface: AbstractMap, camera: Camera, resolution: tuple[int, int] = RESOLUTION
 ) -> list[np.ndarray]:
-    """The boundary of all that is covered by the projected mesh of a surface, in pixels.
+    """The boundary of the area that the projected mesh of a surface covers, in pixels.
 
     Returns:
-        Closed rings of shape (k, 2): outer ones in one sense of rotation, holes in the other.
+        Closed rings of shape (k, 2). Outer rings run in one direction, holes in the other.
 
     Raises:
         TargetError: The camera looks away from the surface or stands in it.
@@ -60,7 +61,7 @@ def outline_rings(
 def rings(grid: Float[np.ndarray, "n m 2"]) -> list[np.ndarray]:
     """The boundary of the union of a projected grid's triangles; see `outline_rings`.
 
-    Rims and folds cut the plane into cells, each of which is covered wholly or not at all.
+    Rims and folds divide the plane into cells, each of which is covered completely or not at all.
     """
     import shapely
 
@@ -69,7 +70,7 @@ def rings(grid: Float[np.ndarray, "n m 2"]) -> list[np.ndarray]:
     try:
         lines = shapely.node(shapely.multilinestrings(lines))
     except shapely.errors.GEOSException:
-        # Where a seam lies on itself but for rounding, only a grid helps.
+        # Where a seam coincides with itself except for rounding, only snapping to a grid helps.
         lines = shapely.unary_union(lines, grid_size=_GRID)
     lines = np.asarray(shapely.get_parts(lines))
     cells = shapely.get_parts(shapely.polygonize(lines))
@@ -80,10 +81,10 @@ def rings(grid: Float[np.ndarray, "n m 2"]) -> list[np.ndarray]:
 
 
 def coverage(rings: list[np.ndarray], shape: tuple[int, int]) -> Float[np.ndarray, "h w"]:
-    """The exact share of every pixel that lies within closed rings.
+    """The exact fraction of every pixel that lies inside closed rings.
 
-    Each piece of a ring within one pixel adds its height to all pixels to its right, and to its own by
-    the area right of it; sums along the rows then give the coverage.
+    Each piece of a ring within one pixel adds its height to all pixels on its right, and the area on its
+    right to its own pixel; sums along the rows then give the coverage.
     """
     rows, columns = shape
     start = np.concatenate([ring[:-1] for ring in rings])
@@ -105,7 +106,7 @@ def coverage(rings: list[np.ndarray], shape: tuple[int, int]) -> Float[np.ndarra
 def _cut_at_integers(
     start: np.ndarray, end: np.ndarray, axis: int, size: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Segments cut where a coordinate is a whole number from 0 to `size`."""
+    """Divides segments where a coordinate is a whole number from 0 to `size`."""
     low, high = np.sort(np.stack([start[:, axis], end[:, axis]]), axis=0)
     first = np.clip(np.floor(low).astype(int) + 1, 0, size + 1)
     count = np.maximum(np.clip(np.ceil(high).astype(int), 0, size + 1) - first, 0)

@@ -1,4 +1,4 @@
-"""The abstract surface: a map (u, v) → ℝ³ with the verbs that users call on it."""
+"""The abstract surface: a map (u, v) → ℝ³ with methods to sample, mesh and project it."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ if TYPE_CHECKING:
 
 
 class AbstractSurface(AbstractMap):
-    """A surface S(u, v) in ℝ³. A subclass gives `domain` and `position`; the rest follows by autodiff.
+    """A surface S(u, v) in ℝ³. A subclass defines `domain` and `position`; autodiff gives the rest.
 
-    See `AbstractMap` for its attributes.
+    Its attributes are those of `AbstractMap`.
     """
 
     def sample(self, n: int, seed: int = 0, noise: float = 0.0) -> PointCloud:
-        """An area-uniform random cloud of the surface. See `petalfit.surfaces.sampling`."""
+        """Random points on the surface, uniform by area. See `petalfit.surfaces.sampling`."""
         return sample(self, n, seed, noise)
 
     def mesh(self, resolution: tuple[int, int] = (65, 65)) -> trimesh.Trimesh:
-        """A triangle mesh with UVs. See `petalfit.surfaces.tessellation`."""
+        """A triangle mesh with normals and texture coordinates. See `petalfit.surfaces.tessellation`."""
         return tessellate(self, resolution)
 
     def silhouette(self, camera: Camera) -> Silhouette:
-        """The exact coverage of every pixel of a camera. See `petalfit.surfaces.silhouette`."""
+        """The exact coverage of every pixel of a camera's image. See `petalfit.surfaces.silhouette`."""
         return silhouette(self, camera)

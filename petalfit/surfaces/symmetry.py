@@ -1,4 +1,4 @@
-"""Symmetries that a fit cannot see through."""
+"""Symmetries of a surface, which leave parameters of a pose undetermined."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from petalfit.compilation import Program
 from petalfit.surfaces.map import AbstractMap
 from petalfit.surfaces.pose import about_y
 
-_TURN = 0.7  # rad; any angle but a simple fraction of a turn
-_EQUAL = 1e-9  # of the surface's size
+_TURN = 0.7  # rad; any angle that is not a simple fraction of a turn
+_EQUAL = 1e-9  # tolerance, relative to the surface's size
 
 
 def is_of_revolution(surface: AbstractMap) -> bool:
-    """Whether a turn about the y axis maps the surface onto itself, by a shift of u or of v."""
+    """Whether rotations about the y axis map the surface onto itself, as a shift of u or of v."""
     low, high = np.array(surface.domain).T
     u, v = (low + (high - low) * np.linspace(0.1, 0.9, 9)[:, None]).T
     with jax.enable_x64(True):

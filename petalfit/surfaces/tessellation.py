@@ -1,4 +1,4 @@
-"""Triangle meshes of a surface."""
+"""Triangle meshes of surfaces."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ def tessellate(surface: AbstractMap, resolution: tuple[int, int] = (65, 65)) -> 
 
     Args:
         surface: Any surface.
-        resolution: Number of vertices along u and along v, at least 2 each.
+        resolution: The numbers of vertices along u and along v, at least 2 each.
 
     Returns:
-        A mesh with unit normals of the surface at its vertices, wound so that the faces' normals agree
-        with them, and with (u, v) scaled to [0, 1]² as texture coordinates.
+        A mesh with the unit normals of the surface at its vertices, and with (u, v) scaled to [0, 1]² as
+        texture coordinates. Faces are wound so that their normals agree with those of the vertices.
 
     Raises:
         ValueError: The resolution is too small.
@@ -50,7 +50,7 @@ def tessellate(surface: AbstractMap, resolution: tuple[int, int] = (65, 65)) -> 
 
 
 def moved(mesh: trimesh.Trimesh, pose: Pose) -> trimesh.Trimesh:
-    """The mesh itself in another frame, its own normals turned, where trimesh would make new ones."""
+    """Moves a mesh in place and returns it; its normals are rotated, not recomputed as by trimesh."""
     normals = mesh.vertex_normals @ np.asarray(pose.rotation).T
     mesh.apply_transform(pose.matrix())
     mesh.vertex_normals = normals
@@ -58,11 +58,11 @@ def moved(mesh: trimesh.Trimesh, pose: Pose) -> trimesh.Trimesh:
 
 
 def grid_faces(resolution: tuple[int, int], orientation: float) -> Int[np.ndarray, "m 3"]:
-    """Two triangles for every cell of a grid, whose v runs fastest.
+    """The faces of a grid, two triangles per cell; v varies fastest among the vertices.
 
     Args:
-        resolution: Number of vertices along u and along v.
-        orientation: The surface's; −1 winds the triangles the other way.
+        resolution: The numbers of vertices along u and along v.
+        orientation: The orientation of the surface; −1 reverses the winding of the triangles.
     """
     n_u, n_v = resolution
     corner = (np.arange(n_u - 1)[:, None] * n_v + np.arange(n_v - 1)).ravel()
@@ -77,6 +77,6 @@ def grid_faces(resolution: tuple[int, int], orientation: float) -> Int[np.ndarra
 
 
 def grid_uv(resolution: tuple[int, int]) -> Float[np.ndarray, "n 2"]:
-    """Texture coordinates of a grid of the whole domain, (u, v) scaled to [0, 1]²."""
+    """The texture coordinates of a grid of the whole domain: (u, v) scaled to [0, 1]²."""
     u, v = (np.linspace(0, 1, n) for n in resolution)
     return np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)

@@ -1,4 +1,4 @@
-"""Traits that a component declares, so that a fit need not know its class."""
+"""Traits that a component declares, so that fits do not depend on its class."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import dataclasses
 
 @dataclasses.dataclass(frozen=True)
 class Oscillation:
-    """A pattern of many waves, ribs for instance, that may be absent.
+    """A pattern of many waves, such as ribs, which may be absent.
 
-    The cost of a fit has many minima along its frequency, and without an amplitude it has none: a fit
-    compares several frequencies, and calls the frequency determined only if the amplitude is.
+    The cost of a fit has many minima along the frequency, and none if the amplitude is zero. A fit
+    therefore compares several frequencies, and calls the frequency determined only if the amplitude is.
 
     Attributes:
-        frequency: Name of the parameter that counts the waves.
-        amplitude: Name of the parameter that says how high they are.
+        frequency: The name of the parameter for the number of waves.
+        amplitude: The name of the parameter for the height of the waves.
     """
 
     frequency: str
@@ -22,5 +22,5 @@ class Oscillation:
 
     @property
     def names(self) -> tuple[str, str]:
-        """The frequency and the amplitude."""
+        """The names of the two parameters, the frequency's first."""
         return self.frequency, self.amplitude

@@ -1,10 +1,10 @@
-"""Sine and cosine that a compiled program computes once.
+"""Sine and cosine that a compiled program computes only once.
 
-XLA takes sines for cheap, and computes them again in every loop whose result needs them: forty for the
-frames of a peony petal, which has seven. It does not do so with square roots. In double precision, in
-which fits run, these are therefore sin x = √(sin x + 2)² − 2, and likewise for cos, to 1e-15: frames,
-foot points and derivatives of a petal take a third to a half of the time. In single precision, where
-that would cost digits, they are plain.
+XLA considers sines cheap and recomputes them in every loop that needs them: forty times for the frames of
+a peony petal, which has seven. It does not do so with square roots. In double precision, in which fits
+run, sin x is therefore computed as √(sin x + 2)² − 2, and cos x likewise, to 1e-15; frames, foot points
+and derivatives of a petal then take a third to a half of the time. In single precision this would cost
+digits, so there they are computed plainly.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from jaxtyping import Array
 
 @jax.custom_jvp
 def sin(x: ArrayLike) -> Array:
-    """Sin x."""
+    """The sine of x, in the form that the module describes."""
     return _once(jnp.sin(x))
 
 
 @jax.custom_jvp
 def cos(x: ArrayLike) -> Array:
-    """Cos x."""
+    """The cosine of x, in the form that the module describes."""
     return _once(jnp.cos(x))
 
 
