@@ -1,4 +1,4 @@
-"""Compiled programs, and how they outlive the process that compiled them."""
+"""Compiled programs, and their storage beyond the process that compiled them."""
 
 from petalfit.compilation.buckets import bucket as bucket
 from petalfit.compilation.buckets import pad_to as pad_to

@@ -1,8 +1,8 @@
-"""Where compiled programs are kept between processes: the second `petalfit fit` need not compile again.
+"""The cache of compiled programs: a second `petalfit fit` need not compile again.
 
-They lie in a folder of the user's cache, one for each kind of processor, and are removed, the oldest
-first, when all of them together grow past `LIMIT`. The environment variable PETALFIT_CACHE names
-another folder; empty, it turns the cache off. A folder that cannot be used costs time and nothing else.
+The programs lie in a folder of the user's cache, with one subfolder for each kind of processor. When all
+of them together exceed `LIMIT`, the oldest are removed. The environment variable PETALFIT_CACHE names
+another folder; if it is empty, the cache is off. A folder that cannot be used only costs time.
 """
 
 import hashlib
@@ -21,10 +21,10 @@ LIMIT = 256_000_000  # one size of cloud needs about 3 MB
 
 @contextmanager
 def compilation_cache() -> Iterator[bool]:
-    """While the block runs, programs are compiled into the cache and taken out of it.
+    """Makes a block of code store its compiled programs in the cache and load them from it.
 
     Yields:
-        Whether compiled programs may be there already; if not, the user has to wait.
+        Whether the cache may contain programs already; if not, the user has to wait for compilation.
     """
     from petalfit.compilation import ExecutableStore, use_store
 
@@ -37,7 +37,7 @@ def compilation_cache() -> Iterator[bool]:
 
 
 def folder_in_common() -> Path | None:
-    """Where other processes find the programs of this one: its store, or the cache; None for nowhere."""
+    """The folder where other processes find this one's programs: its store, else the cache, else None."""
     from petalfit.compilation.store import current_store
 
     store = current_store()
@@ -45,23 +45,23 @@ def folder_in_common() -> Path | None:
 
 
 def _usable_folder() -> Path | None:
-    """The folder for this processor, made if need be; None for no cache."""
+    """The folder for this processor, created if necessary; None for no cache."""
     root = os.environ.get(VARIABLE)
     if root == "":
         return None
     try:
         root = user_cache() if root is None else Path(root).absolute()
         folder = root / f"programs-{_processor()}"
-        # Whoever can write there can make us run anything.
+        # Only the user may write there, because loading a program can run any code.
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         _prune(root)
-    except (OSError, RuntimeError):  # RuntimeError: of a user without a home
+    except (OSError, RuntimeError):  # RuntimeError: the user has no home
         return None
     return folder if os.access(folder, os.R_OK | os.W_OK | os.X_OK) else None
 
 
 def user_cache() -> Path:
-    """Where this platform keeps what can be made again."""
+    """The folder in which this platform keeps caches of petalfit."""
     match sys.platform:
         case "win32":
             base = os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local"
@@ -73,7 +73,7 @@ def user_cache() -> Path:
 
 
 def _processor() -> str:
-    """Twelve digits that change with the instructions that a compiled program may use."""
+    """Twelve digits that identify the instructions that a compiled program may use."""
     described = [sys.platform, platform.machine()]
     with suppress(OSError, subprocess.SubprocessError):
         if sys.platform == "linux":
@@ -89,7 +89,7 @@ def _processor() -> str:
 
 
 def _prune(root: Path) -> None:
-    """Removes the oldest files if there is too much, down to half of the limit."""
+    """Removes the oldest files, down to half of the limit, if the limit is exceeded."""
     status = {path: path.stat() for path in root.glob("programs-*/*")}
     size = sum(entry.st_size for entry in status.values())
     if size <= LIMIT:

@@ -17,7 +17,7 @@ R = TypeVar("R")
 
 
 class _Compiled(threading.local):
-    """How many programs jax has compiled in this thread: the size of its cache may stay as it is."""
+    """The number of programs that jax has compiled in this thread; its cache's size may not show it."""
 
     programs = 0
 
@@ -33,9 +33,9 @@ jax.monitoring.register_event_duration_secs_listener(_count)
 
 
 class Program(Generic[R]):
-    """A jitted function. Within `use_store` its programs come from a folder and go there.
+    """A jitted function. Within `use_store` its programs are loaded from a folder and saved there.
 
-    Call it outside other jitted functions, with arrays, NumPy's or jax's.
+    Call it outside other jitted functions, with arrays of NumPy or jax.
     """
 
     def __init__(self, function: Callable[..., R]) -> None:

@@ -1,4 +1,4 @@
-"""Where the time of a computation goes, by stage."""
+"""Measurement of the time of a computation by stage."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from contextlib import contextmanager
 
 
 class Stopwatch:
-    """Seconds by stage. A stage within another one stops the clock of the outer one."""
+    """A stopwatch that adds up seconds by stage; an inner stage stops the clock of the outer one."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = defaultdict(float)
@@ -19,7 +19,7 @@ class Stopwatch:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Counts the time of a block as that of the stage `name`."""
+        """Counts the time of a block for the stage `name`."""
         self._stop()
         self._stages.append(name)
         try:
@@ -29,7 +29,7 @@ class Stopwatch:
             self._stages.pop()
 
     def move(self, seconds: float, name: str) -> None:
-        """Counts some of what the present stage has just taken as that of the stage `name`."""
+        """Moves seconds that the current stage has just taken to the stage `name`."""
         self._stop()
         self.seconds[self._stages[-1]] -= seconds
         self.seconds[name] += seconds
@@ -46,7 +46,7 @@ _current: contextvars.ContextVar[Stopwatch | None] = contextvars.ContextVar("wat
 
 @contextmanager
 def watched(stage: str) -> Iterator[Stopwatch]:
-    """Yields a stopwatch for a block, which begins with the stage `stage`."""
+    """Yields a stopwatch for a block, which begins in the stage `stage`."""
     watch = Stopwatch()
     token = _current.set(watch)
     try:
@@ -58,7 +58,7 @@ def watched(stage: str) -> Iterator[Stopwatch]:
 
 @contextmanager
 def stage(name: str) -> Iterator[None]:
-    """Counts the time of a block as that of the stage `name`, if anybody watches."""
+    """Counts the time of a block for the stage `name`, if a stopwatch is running."""
     watch = _current.get()
     if watch is None:
         yield
@@ -68,7 +68,7 @@ def stage(name: str) -> Iterator[None]:
 
 
 def moved(seconds: float, name: str) -> None:
-    """Counts some of what the present stage has just taken as that of `name`, if anybody watches."""
+    """Moves seconds of the current stage to the stage `name`, if a stopwatch is running."""
     watch = _current.get()
     if watch is not None:
         watch.move(seconds, name)

@@ -1,4 +1,4 @@
-"""Executables in a folder: a second process neither traces nor compiles what the first one did."""
+"""Executables in a folder: a second process need not trace and compile what the first one did."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from jax.experimental import serialize_executable
 from petalfit.compilation.stopwatch import stage
 from petalfit.observations.atomic import atomic_path
 
-# A third to a half less to wait for, and programs just as fast.
+# With these, compilation takes a third to a half less time, and programs are just as fast.
 _OPTIONS = {"xla_llvm_disable_expensive_passes": True, "xla_cpu_use_fusion_emitters": False}
 
-# Packages whose classes and functions are told apart by petalfit's source and by versions.
+# Packages whose classes and functions are identified by petalfit's source and by package versions.
 _KNOWN = {"petalfit", "equinox", "jax", "jaxlib", "lineax", "numpy", "optimistix", "builtins"}
 
 _DIGEST = hashlib.sha256().digest_size
-# Models of classes that pickle cannot find again, and what XLA does not serialise.
+# Errors of models whose classes pickle cannot find again, and of programs that XLA cannot serialise.
 _NOT_KEPT = (
     OSError,
     ValueError,
@@ -44,12 +44,12 @@ _NOT_KEPT = (
 class ExecutableStore:
     """Compiled programs in memory and in a folder.
 
-    A file is named by all that a program depends on: petalfit's source, the versions of what traces
-    and compiles it, and the structure, shapes and types of the arguments. A program of a function
-    or a class of somebody else's is in memory only: nothing says when its source changes. Files of
-    programs that nobody asks for any more are left to whoever owns the folder, and so is the choice
-    of a folder for each kind of processor. Reading a file can run anything: the folder must be the
-    user's alone. A folder that cannot be used costs time and nothing else.
+    The name of a file is a digest of all that a program depends on: petalfit's source, the versions of
+    the packages that trace and compile it, and the structure, shapes and types of the arguments. A
+    program with functions or classes of unknown packages is kept in memory only, because changes of
+    their source would go unnoticed. The folder's owner has to remove files that are no longer used, and
+    to choose a folder for each kind of processor. Reading a file can run any code, so only the user may
+    have access to the folder. A folder that cannot be used only costs time.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -57,10 +57,10 @@ class ExecutableStore:
         self._loaded: dict[Hashable, Callable] = {}
 
     def call(self, function: Callable, args: tuple) -> Any:
-        """What a function gives for arguments, by its compiled form for arguments like these."""
+        """The result of a function, by the program that is compiled for arguments of this form."""
         leaves, structure = jax.tree.flatten(args)
         forms = tuple(map(_form, leaves))
-        # Within a process objects will do; the name of a file takes a hundred times as long.
+        # Objects suffice as keys within a process; the name of a file takes a hundred times as long.
         like = function, structure, forms, _double()
         if like not in self._loaded:
             with stage("compiling"):
@@ -81,11 +81,11 @@ class ExecutableStore:
         return None
 
     def _compile(self, key: str | None, function: Callable, args: tuple) -> Callable:
-        """A program, and a file of it under its key if it has one."""
+        """Compiles a program, and saves it under its key if it has one."""
         leaves, structure = jax.tree.flatten(args)
         results = []
 
-        # From leaves to leaves, because the structure of a model does not survive pickling; a model does.
+        # The program maps leaves to leaves: a model can be pickled, but the structure of one cannot.
         def flat(*leaves: object) -> list:
             result = function(*jax.tree.unflatten(structure, leaves))
             results.append(jax.tree.structure(result))
@@ -95,7 +95,7 @@ class ExecutableStore:
         (result,) = results
         if key is None:
             return _structured(compiled, result)
-        # What came out of jax's own cache cannot always be serialised, and need not be.
+        # A program from jax's own cache cannot always be serialised, and need not be.
         with suppress(*_NOT_KEPT):
             example = jax.tree.unflatten(result, range(result.num_leaves))
             content = pickle.dumps((serialize_executable.serialize(compiled), example))
@@ -105,7 +105,7 @@ class ExecutableStore:
 
 
 def _structured(compiled: Callable[..., list], structure: Any) -> Callable:
-    """A program that gives leaves, with its results in their structure."""
+    """Wraps a program that returns leaves, so that it returns results in their structure."""
 
     def call(*leaves: object) -> object:
         return jax.tree.unflatten(structure, compiled(*leaves))
@@ -115,7 +115,7 @@ def _structured(compiled: Callable[..., list], structure: Any) -> Callable:
 
 @functools.cache
 def options() -> dict[str, bool]:
-    """Options for the compiler, as far as this one knows them: they come and go with its versions."""
+    """The compiler options that the installed version knows; they come and go with versions."""
     known = {}
     for name, value in _OPTIONS.items():
         with suppress(jax.errors.JaxRuntimeError):
@@ -131,13 +131,13 @@ _current: contextvars.ContextVar[ExecutableStore | None] = contextvars.ContextVa
 
 
 def current_store() -> ExecutableStore | None:
-    """The store in use, if any."""
+    """The store in use, or None."""
     return _current.get()
 
 
 @contextmanager
 def use_store(store: ExecutableStore | None) -> Iterator[None]:
-    """While the block runs, programs come from `store` and go there."""
+    """Makes a block of code load programs from `store` and save them there."""
     token = _current.set(store)
     try:
         yield
@@ -147,17 +147,17 @@ def use_store(store: ExecutableStore | None) -> Iterator[None]:
 
 @functools.cache
 def _store_at(folder: Path) -> ExecutableStore:
-    """One for the life of a process: what it has loaded stays."""
+    """The store of a folder; one for the life of the process, so that loaded programs stay in memory."""
     return ExecutableStore(folder)
 
 
 def use_folder(folder: Path | None) -> AbstractContextManager[None]:
-    """While the block runs, programs come from a folder and go there; as before if there is none."""
+    """Makes a block of code load programs from a folder and save them there; no change for None."""
     return nullcontext() if folder is None else use_store(_store_at(folder))
 
 
 def _is_known(function: Callable, structure: Any) -> bool:
-    """Whether a key tells all sources that a program of such arguments comes from."""
+    """Whether a key covers the source of all functions and classes that a program depends on."""
     open_, modules = [structure], {function.__module__}
     while open_:
         node = open_.pop()
@@ -193,7 +193,7 @@ def _form(leaf: Any) -> tuple[object, ...]:
 
 @functools.cache
 def _versions() -> str:
-    """Digest of petalfit's own source, and versions of the packages that its programs come from."""
+    """The digest of petalfit's own source, and the versions of the packages that its programs use."""
     source = hashlib.sha256()
     for path in sorted(Path(__file__).parents[1].rglob("*.py")):
         source.update(path.read_bytes())
@@ -204,5 +204,5 @@ def _versions() -> str:
 
 @functools.cache
 def _initialise() -> None:
-    """Loaded executables call LAPACK, whose entry points jax looks up when it first lowers a call."""
+    """Makes jax look up LAPACK, which loaded executables call and jax finds when it lowers a call."""
     jax.jit(jnp.linalg.cholesky).lower(jax.ShapeDtypeStruct((1, 1), jnp.float32))

@@ -1,4 +1,4 @@
-"""Fits and flowers as files for other programs."""
+"""Export of fits and flowers to files for other programs."""
 
 from petalfit.export.flower import export_flower as export_flower
 from petalfit.export.mesh import SUFFIXES as SUFFIXES

@@ -1,4 +1,4 @@
-"""A whole flower as a mesh file: glTF with organs as named nodes, or plain OBJ, PLY and STL."""
+"""Export of a whole flower as a mesh: glTF with organs as named nodes, or plain OBJ, PLY and STL."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ _ROUGHNESS = 0.75
 def export_flower(flower: Flower, path: str | os.PathLike[str]) -> None:
     """Write a flower, +y up, in the format that the suffix names.
 
-    - `.glb`: binary glTF. Every organ is a node of its name, posed as it stands, with its parameters in
-      `extras`; the parts of an organ are nodes below it. Colours with patterns are embedded textures in
-      sRGB, plain ones factors in linear light, as glTF wants them.
-    - `.obj`: one group an organ, with texture coordinates and normals.
-    - `.ply`, `.stl`: binary, one mesh of all.
+    - `.glb`: binary glTF. Every organ is a node with its name, its pose, and its parameters in `extras`;
+      the parts of an organ are nodes below it. Colours with patterns are embedded textures in sRGB, plain
+      colours are factors in linear light, as glTF requires.
+    - `.obj`: one group per surface, with texture coordinates and normals.
+    - `.ply`, `.stl`: binary, all surfaces in one mesh.
 
-    The file is written whole or not at all, and is the same to the byte for the same flower.
+    The file is written completely or not at all. The same flower gives the same bytes.
 
     Args:
         flower: The flower.
-        path: The file; an existing one is replaced.
+        path: The path of the file; an existing file is replaced.
 
     Raises:
         ValueError: The suffix is none of these.
@@ -74,7 +74,7 @@ def _scene(flower: Flower) -> tuple[trimesh.Scene, dict[str, Colour]]:
             organ, node = _names(flower, grown, k)
             parent = flower.name
             if organ != node:
-                # A part: below its organ, which is a node without a mesh of its own.
+                # A part goes below its organ, which is a node without a mesh of its own.
                 if organ not in scene.graph.nodes:
                     scene.graph.update(
                         frame_to=organ,
@@ -84,7 +84,7 @@ def _scene(flower: Flower) -> tuple[trimesh.Scene, dict[str, Colour]]:
                     )
                 parent = _below(scene, organ, node)
             matrix = grown.inner[k] if organ != node else grown.outer[k] @ grown.inner[k]
-            # Organs that are alike share one mesh.
+            # Identical organs share one mesh.
             key = label.encode() + np.asarray(mesh.vertices).tobytes()
             if key not in seen:
                 seen[key] = node
@@ -100,7 +100,7 @@ def _scene(flower: Flower) -> tuple[trimesh.Scene, dict[str, Colour]]:
 
 
 def _below(scene: trimesh.Scene, organ: str, node: str) -> str:
-    """The node that a part stands below: its organ, or the part of the organ that its path names."""
+    """The parent node of a part: its organ, or the part of the organ that the path names."""
     group = node.rpartition("/")[0]
     if group != organ and group not in scene.graph.nodes:
         scene.graph.update(frame_to=group, frame_from=organ, matrix=np.eye(4))
@@ -108,7 +108,7 @@ def _below(scene: trimesh.Scene, organ: str, node: str) -> str:
 
 
 def _names(flower: Flower, grown: Grown, k: int) -> tuple[str, str]:
-    """Of the organ's node, and of the part's."""
+    """The names of the organ's node and of the part's node."""
     part = grown.part
     if part.series < 0:
         return part.label, part.label
@@ -117,7 +117,7 @@ def _names(flower: Flower, grown: Grown, k: int) -> tuple[str, str]:
 
 
 def _label(flower: Flower, grown: Grown) -> str:
-    """What all organs of a series share, for materials."""
+    """The name that the same part of all organs of a series shares, for materials."""
     part = grown.part
     if part.series < 0:
         return part.label
@@ -126,7 +126,7 @@ def _label(flower: Flower, grown: Grown) -> str:
 
 
 def _extras(flower: Flower, grown: Grown, k: int) -> dict[str, Any]:
-    """The numbers of one surface; of an organ that is nothing else, how it stands too."""
+    """The numbers of one surface, and, if the surface is a whole organ, its attachment."""
     surface = jax.tree.map(lambda leaf: float(leaf[k]), grown.part.surface)
     extras = {"component": type(surface).__name__, "parameters": _values(surface)}
     if grown.part.series >= 0 and not grown.part.name:
@@ -135,7 +135,7 @@ def _extras(flower: Flower, grown: Grown, k: int) -> dict[str, Any]:
 
 
 def _organ_extras(flower: Flower, grown: Grown, k: int) -> dict[str, Any]:
-    """The numbers of an assembly that belong to none of its parts."""
+    """The numbers of an assembly that do not belong to one of its parts, and its attachment."""
     organ = jax.tree.map(float, flower.series[grown.part.series].one(k))
     return {
         "component": type(organ).__name__,
@@ -154,7 +154,7 @@ def _attachment(flower: Flower, grown: Grown, k: int) -> dict[str, float]:
 
 
 def _meshes(grown: Grown) -> list[trimesh.Trimesh]:
-    """One of each organ."""
+    """One mesh for each organ."""
     import trimesh
     from trimesh.visual import TextureVisuals
 
@@ -176,7 +176,7 @@ def _material(colour: Colour, name: str) -> PBRMaterial:
     from PIL import Image
     from trimesh.visual.material import PBRMaterial
 
-    # trimesh rounds factors to eight bits, which are too few for dark linear light: see `_glb`.
+    # trimesh rounds factors to eight bits, too few for dark linear light; `_glb` writes exact ones.
     options: dict[str, Any] = {"metallicFactor": 0.0, "roughnessFactor": _ROUGHNESS}
     options |= {"name": name, "doubleSided": True}
     if colour.is_plain:
@@ -203,7 +203,7 @@ def _glb(flower: Flower) -> bytes:
 
 
 def _posed(flower: Flower) -> list[tuple[str, trimesh.Trimesh]]:
-    """Every surface by its name, in the flower's frame."""
+    """The names and meshes of all surfaces, in the flower's frame."""
     return [
         (_names(flower, grown, k)[1], mesh)
         for grown in grow(flower)
@@ -212,7 +212,7 @@ def _posed(flower: Flower) -> list[tuple[str, trimesh.Trimesh]]:
 
 
 def _obj(flower: Flower) -> bytes:
-    # Not as a scene, of which trimesh would compute the normals anew, from faces.
+    # Not written as a scene, because trimesh would recompute its normals from faces.
     lines, offset = [f"# {flower.name} grown by petalfit {VERSION}\n"], 0
     for name, mesh in _posed(flower):
         text = io.StringIO(obj_text(mesh))

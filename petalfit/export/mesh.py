@@ -1,4 +1,4 @@
-"""The fitted surface as a mesh file: glTF with its parameters, or plain OBJ, PLY and STL."""
+"""Export of a fitted surface as a mesh: glTF with its parameters, or plain OBJ, PLY and STL."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 SUFFIXES = (".glb", ".obj", ".ply", ".stl")
 
-# A light rose, #ecaabe on a screen: glTF wants linear light, and trimesh writes factors as given.
+# A light rose, #ecaabe in sRGB. glTF requires linear light, and trimesh writes factors as given.
 _COLOUR = [214, 103, 131, 255]
 _ROUGHNESS = 0.75
 
@@ -26,17 +26,17 @@ def export_mesh(
 ) -> None:
     """Write the fitted surface in the target's frame, in the format that the suffix names.
 
-    - `.glb`: as `export_glb`.
-    - `.obj`: vertices, texture coordinates, normals.
+    - `.glb`: as by `export_glb`.
+    - `.obj`: vertices, texture coordinates and normals.
     - `.ply`: binary; vertices and normals.
-    - `.stl`: binary; bare triangles.
+    - `.stl`: binary; triangles only.
 
-    The file is written whole or not at all, and is the same to the byte for the same result.
+    The file is written completely or not at all. The same result gives the same bytes.
 
     Args:
         result: The fit.
-        path: The file; an existing one is replaced.
-        resolution: Number of vertices along u and along v, at least 2 each.
+        path: The path of the file; an existing file is replaced.
+        resolution: The numbers of vertices along u and along v, at least 2 each.
 
     Raises:
         ValueError: The suffix is none of these, or the resolution is too small.
@@ -69,15 +69,15 @@ def export_glb(
 ) -> None:
     """Write the fitted surface in the target's frame as binary glTF.
 
-    A mesh with normals and texture coordinates and a matt, double-sided material, under a node
-    that is named after the model and holds the fit's numbers in its `extras`, as the function of
-    that name gives them. Lengths are in the target's unit, and its axes are kept. Written whole or
-    not at all; the same to the byte for the same result.
+    The mesh has normals, texture coordinates and a matt, double-sided material. Its node is named
+    after the model and holds the numbers of the fit in its `extras` (see the function `extras`).
+    Lengths are in the target's unit, and the target's axes are kept. The file is written completely
+    or not at all. The same result gives the same bytes.
 
     Args:
         result: The fit.
-        path: The file; an existing one is replaced.
-        resolution: Number of vertices along u and along v, at least 2 each.
+        path: The path of the file; an existing file is replaced.
+        resolution: The numbers of vertices along u and along v, at least 2 each.
 
     Raises:
         ValueError: The resolution is too small.
@@ -109,7 +109,7 @@ def extras(result: FitRecord) -> dict[str, Any]:
     Returns:
         petalfit's version, the model's name, `parameters` by name (value, stderr, whether it is
         free, whether the target determines it), noise, rms, whether the fit converged, and the
-        pose. What is not finite, and the error of what is not free, is None.
+        pose. Numbers that are not finite, and errors of parameters that are not free, are None.
     """
     free = set(result.names)
     return {
@@ -136,16 +136,16 @@ def extras(result: FitRecord) -> dict[str, Any]:
 
 
 def _finite(number: float) -> float | None:
-    """JSON has no infinities."""
+    """The number, or None if it is not finite, because JSON has no infinities."""
     return float(number) if math.isfinite(number) else None
 
 
 def obj_text(mesh: trimesh.Trimesh, **options: Any) -> str:
-    """A mesh as OBJ, without the lines that name a material file, which there is none of.
+    """A mesh as OBJ, without lines that name a material file, because there is none.
 
     Args:
-        mesh: With normals.
-        options: Further ones of trimesh's `export_obj`.
+        mesh: A mesh with normals.
+        options: Further options of trimesh's `export_obj`.
     """
     from trimesh.exchange.obj import export_obj
 

@@ -1,4 +1,4 @@
-"""The page's pictures as inline SVG: text and lines take the page's colours, light or dark."""
+"""The charts of the page as inline SVG; text and lines take the page's colours, light or dark."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ DENSITY = 2  # pixels of a picture per pixel of the page
 
 
 def _svg(width: float, height: float, label: str, content: list[str], enlarged: float = 1.0) -> str:
-    """A drawing that scales with its column, described for those who cannot see it."""
+    """An SVG drawing that scales with its column, with a label for readers who cannot see it."""
     return (
         f'<svg viewBox="0 0 {width:g} {height:g}" style="max-width:{enlarged * width:g}px" '
         f'role="img" aria-label="{html.escape(label)}">\n' + "\n".join(content) + "\n</svg>"
@@ -51,7 +51,7 @@ def _image(picture: Picture, x: float, y: float) -> str:
 
 
 def _tick_labels(values: list[float]) -> list[str]:
-    """All with the decimals that their step needs."""
+    """The labels of ticks, all with the decimals that their step needs."""
     step = values[1] - values[0] if len(values) > 1 else abs(values[0]) or 1.0
     if not 1e-5 < step < 1e6:
         return [plain(value) for value in values]
@@ -60,7 +60,7 @@ def _tick_labels(values: list[float]) -> list[str]:
 
 
 def view_chart(picture: Picture) -> str:
-    """A drawn view with the petal's axes and a scale bar under it."""
+    """A drawn view, with the petal's axes and a scale bar below it."""
     height, width = (side / DENSITY for side in picture.rgba.shape[:2])
     middle = height + 24
     content = [_image(picture, 0.0, 0.0)]
@@ -119,7 +119,7 @@ def overlay_chart(overlay: Overlay, limit: float, noise: float) -> str:
         f'style="image-rendering:pixelated" href="data:image/png;base64,{data}"/>',
         f'<rect class="plot" x="1" y="1" width="{width - 2:.1f}" height="{height - 2:.1f}"/>',
     ]
-    # The outline may go on beyond the image. Drawings of one size may share the name of their frame.
+    # The outline may extend beyond the image, so it is clipped. Drawings of one size may share a name.
     frame = f"frame-{width:.0f}-{height:.0f}"
     content.append(
         f'<clipPath id="{frame}"><rect width="{width:.1f}" height="{height:.1f}"/></clipPath>'
@@ -139,7 +139,7 @@ def overlay_chart(overlay: Overlay, limit: float, noise: float) -> str:
 
 
 def _key(x: float, y: float, height: float, limit: float, noise: float) -> list[str]:
-    """A bar of the colours with the distances of its ends and its middle."""
+    """A colour bar with the distances at its ends and in its middle."""
     stops = zip((0, 0.5, 1), (POSITIVE, ZERO, NEGATIVE), strict=True)
     gradient = "".join(f'<stop offset="{at}" stop-color="{css(c)}"/>' for at, c in stops)
     content = [
@@ -158,20 +158,20 @@ def _key(x: float, y: float, height: float, limit: float, noise: float) -> list[
 def histogram_chart(
     distances: Float[np.ndarray, " n"], weights: Float[np.ndarray, " n"]
 ) -> tuple[str, int]:
-    """Distances in units of σ, with the Gaussian that noise alone would give.
+    """A histogram of distances in units of σ, with the Gaussian that noise alone would give.
 
     Args:
-        distances: In units of σ, finite.
-        weights: Of each, not all 0.
+        distances: The distances in units of σ, finite.
+        weights: The weight of each distance, not all 0.
 
     Returns:
-        The drawing, and how many distances lie beyond its ends.
+        The drawing, and the number of distances beyond its ends.
     """
     width, height, left, bottom = 390.0, 240.0, 12.0, 200.0
     right = width - 12
     reach = float(max(4, math.ceil(min(np.quantile(np.abs(distances), 0.99), 1e6))))
     bins = int(np.clip(math.sqrt(len(distances)), 16, 48))
-    # Over all distances, so that bars and curve mean the same however many lie beyond the ends.
+    # Normalised by all distances, so that bars and curve are comparable if some lie beyond the ends.
     parts, edges = np.histogram(distances, bins, (-reach, reach), weights=weights)
     density = parts / weights.sum() / np.diff(edges)
     curve_x = np.unique(np.concatenate([np.linspace(-reach, reach, 161), np.linspace(-4, 4, 81)]))
@@ -200,7 +200,7 @@ def histogram_chart(
 
 
 def profile_chart(profile: Profile, name: str, value: float) -> str:
-    """A profile likelihood, the fitted value, and the limit of the 95 % interval."""
+    """A chart of a profile likelihood, the fitted value, and the limit of the 95 % interval."""
     width, height, left, bottom, tallest = 300.0, 170.0, 34.0, 132.0, 12.0
     right = width - 12
     x = np.array(profile.values)
@@ -231,7 +231,7 @@ def profile_chart(profile: Profile, name: str, value: float) -> str:
 def range_chart(
     value: float, interval: tuple[float, float] | None, typical: tuple[float, float]
 ) -> str:
-    """Where a value and its interval lie in the parameter's typical range."""
+    """A chart of a value and its interval within the parameter's typical range."""
     width, height, middle, pad = 110.0, 14.0, 7.0, 7.0
     low, high = typical
 

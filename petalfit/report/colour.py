@@ -1,4 +1,4 @@
-"""Colours that keep apart for every kind of colour vision, on white paper and on a dark screen."""
+"""Colours that differ for every kind of colour vision, on white paper and on a dark screen."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ POINT = np.array([0.110, 0.360, 0.640])
 MASK = np.array([0.560, 0.600, 0.620])
 IGNORED = np.array([0.550, 0.550, 0.570])  # points without weight
 
-# Blue, grey, vermilion: they differ in hue for all, and the grey in the middle is visible on white
-# and on black alike.
+# Blue, grey and vermilion differ in hue for every reader, and the grey in the middle is visible on
+# white and on black alike.
 NEGATIVE = np.array([0.055, 0.410, 0.790])
 ZERO = np.array([0.690, 0.690, 0.700])
 POSITIVE = np.array([0.840, 0.310, 0.020])
 
 
 def diverging(t: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape 3"]:
-    """The colour of a signed value, −1 to 1; beyond that the last colour, and grey for NaN."""
+    """The colour of a signed value from −1 to 1; the last colour beyond that, and grey for NaN."""
     t = np.clip(np.nan_to_num(t, posinf=1.0, neginf=-1.0), -1, 1)[..., None]
     return ZERO + np.where(t < 0, -t * (NEGATIVE - ZERO), t * (POSITIVE - ZERO))
 
@@ -32,6 +32,6 @@ def shaded(
 
 
 def css(rgb: Float[np.ndarray, "3"]) -> str:
-    """The colour as CSS writes it."""
+    """The colour in CSS notation."""
     red, green, blue = (round(255 * float(part)) for part in rgb)
     return f"#{red:02x}{green:02x}{blue:02x}"

@@ -1,4 +1,4 @@
-"""A silhouette beside the outline of the fit, in the pixels of its image."""
+"""A silhouette and the outline of the fit, in the pixels of the silhouette's image."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ _MARGIN = 0.06  # around mask and outline, as a fraction of their size
 
 @dataclasses.dataclass(frozen=True)
 class Overlay:
-    """A part of an image that holds the mask and the fitted outline.
+    """The part of an image that contains the mask and the fitted outline.
 
     Attributes:
-        mask: Coverage of that part's pixels, shape (h, w).
-        box: Its left, top, right and bottom edges, in pixels of the image.
+        mask: The coverage of the pixels of that part, shape (h, w).
+        box: The left, top, right and bottom edges of that part, in pixels of the image.
         rings: The fitted outline, closed rings of shape (k, 2).
-        places: Of the contour, shape (n, 2).
-        distances: Of these places, positive outside of the fitted outline, shape (n,).
-        used: Whether each had a weight, shape (n,).
+        places: Places on the contour of the mask, shape (n, 2).
+        distances: The distances of these places, positive outside the fitted outline, shape (n,).
+        used: Whether each place had a weight, shape (n,).
     """
 
     mask: Float[np.ndarray, "h w"]
@@ -38,13 +38,13 @@ class Overlay:
 
     @classmethod
     def of(cls, result: FitRecord, part: Agreement) -> Overlay:
-        """The overlay of a silhouette that was fitted."""
+        """The overlay of a fitted silhouette and the result of the fit."""
         silhouette = cast(Silhouette, part.target)
         contour = Contour.of(silhouette)
         vertices = np.asarray(result.mesh(_RESOLUTION).vertices).reshape(*_RESOLUTION, 3)
         outline = rings(contour.camera.project(vertices))
         shown = np.concatenate([contour.place, *outline])
-        # What the fit puts far outside of the image is not looked for.
+        # Parts of the fitted outline that lie far outside the image are not shown.
         shape = np.array(silhouette.mask.shape[::-1])
         low, high = np.clip([shown.min(axis=0), shown.max(axis=0)], -0.2 * shape, 1.2 * shape)
         margin = _MARGIN * np.max(high - low)

@@ -1,4 +1,4 @@
-"""One self-contained HTML page that says what was fitted, how well, and what is not known."""
+"""The report: one self-contained HTML page on what was fitted, how well, and what is undetermined."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ from petalfit.report.viewer import fingerprint, script, viewer
 from petalfit.results import FitRecord, one_of_each
 from petalfit.version import VERSION
 
-# Pixels, of which a page's pixel has two.
+# Widths in pixels of the pictures; a pixel of the page has two of them.
 _WIDE, _NARROW = 960, 880
 
 
 def write_report(result: FitRecord, path: str | os.PathLike[str]) -> None:
     """Write a fit as one HTML page: table, 3-D view, distances, starts, correlations, provenance.
 
-    The page needs no network and no other file, suits light and dark screens, phones and paper, and
-    is the same to the byte for the same result. Where there are no scripts or no WebGL, and on paper,
-    the 3-D view is a picture. It is written whole or not at all.
+    The page needs no network and no other file, and suits light and dark screens, phones and paper. The
+    same result gives the same bytes. Without scripts or WebGL, and on paper, the 3-D view is a picture.
+    The file is written completely or not at all.
 
     Args:
         result: The fit.
-        path: The file; an existing one is replaced.
+        path: The path of the file; an existing file is replaced.
 
     Raises:
         OSError: The file cannot be written.
@@ -81,13 +81,13 @@ def _page(result: FitRecord) -> str:
 
 
 def _policy(program: str) -> str:
-    """What a browser may do with the page: show what is in it, and run our script and no other."""
+    """The content security policy: a browser may show the page's own content and run only our script."""
     scripts = f"'{fingerprint(program)}'" if program else "'none'"
     return f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src {scripts}"
 
 
 def _status(result: FitRecord) -> tuple[str, str]:
-    """The style and the words of the one mark that everybody reads."""
+    """The style and the words of the badge at the top, which states how the fit ended."""
     if not result.converged:
         return "bad", "not converged"
     if result.warnings:
@@ -126,7 +126,7 @@ def _head(result: FitRecord) -> str:
 
 
 def _short_names(result: FitRecord) -> list[str]:
-    """Of every target: cloud, or mask 1 and mask 2 if there are several."""
+    """The short names of all targets: "cloud", or "mask 1" and "mask 2" if there are several."""
     kinds = [part.target.kind for part in result.agreements]
     return [
         kind if kinds.count(kind) == 1 else f"{kind} {kinds[: i + 1].count(kind)}"
@@ -150,7 +150,7 @@ def _warnings(result: FitRecord) -> str:
 
 
 def _grouped(what: str, names: list[str]) -> str:
-    """What is said of several parameters, as one sentence."""
+    """One sentence that says the same of several parameters."""
     codes = listed([f"<code>{html.escape(name)}</code>" for name in names])
     return f"{'each of ' if len(names) > 1 else ''}{codes} {html.escape(what)}".lstrip()
 

@@ -37,11 +37,12 @@ _WIDTH, _HEIGHT = 10.1, 4.6  # inches
 def write_picture(result: FitRecord, path: str | os.PathLike[str]) -> None:
     """Write the target and the fit from three sides and the map of distances as one PNG.
 
-    Its background is transparent, its text legible on light and dark. Whole or not at all.
+    The background is transparent and the text legible on light and dark. The file is written completely
+    or not at all.
 
     Args:
         result: The fit.
-        path: The file, `.png`; an existing one is replaced.
+        path: The path of the `.png` file; an existing file is replaced.
 
     Raises:
         OSError: The file cannot be written.
@@ -54,7 +55,7 @@ def write_picture(result: FitRecord, path: str | os.PathLike[str]) -> None:
 
 
 def _figure(result: FitRecord) -> Figure:
-    # Imported here: matplotlib takes a second, and a report does without it.
+    # Imported here, because importing matplotlib takes a second and a report does not need it.
     from matplotlib.figure import Figure
 
     clouds = in_scene(result)
@@ -76,7 +77,7 @@ def _figure(result: FitRecord) -> Figure:
 
 
 def _overlay(figure: Figure, overlay: Overlay, noise: float) -> None:
-    """The mask with the outline of the fit."""
+    """Draws the mask with the outline of the fit."""
     axes = _axes(figure, 6.5, 0.1, 3.5, 4.2)
     left, top, right, bottom = overlay.box
     grey = np.full((*overlay.mask.shape, 4), 0.55)
@@ -93,12 +94,12 @@ def _overlay(figure: Figure, overlay: Overlay, noise: float) -> None:
 
 
 def _axes(figure: Figure, left: float, bottom: float, width: float, height: float) -> Axes:
-    """Axes at a place given in inches."""
+    """New axes at a place given in inches."""
     return figure.add_axes((left / _WIDTH, bottom / _HEIGHT, width / _WIDTH, height / _HEIGHT))
 
 
 def _show(axes: Axes, picture: Picture, title: str) -> None:
-    """A picture in its own lengths, with a title and no frame."""
+    """Shows a picture with its scale of length, a title and no frame."""
     height, width = (side / picture.scale for side in picture.rgba.shape[:2])
     x, y = picture.corner
     axes.imshow(picture.rgba, extent=(x, x + width, y, y + height), interpolation="antialiased")

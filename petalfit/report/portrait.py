@@ -1,4 +1,4 @@
-"""Pictures of organs and flowers: coloured sheets, lit from above the viewer's left."""
+"""Pictures of organs and flowers: coloured surfaces, lit from the upper left of the viewer."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from petalfit.report.raster import Canvas, png
 
 _LIGHT = np.array([-0.5, 0.75, 0.6]) / np.linalg.norm([-0.5, 0.75, 0.6])
 _MARGIN = 0.04
-_REACHES = (5, 12, 26)  # pixels, how far depths are compared
-_AROUND = 8  # in so many directions
-_FINE = 2  # pixels drawn for every pixel shown, each way
+_REACHES = (5, 12, 26)  # distances in pixels at which depths are compared
+_AROUND = 8  # number of directions in which depths are compared
+_FINE = 2  # pixels drawn per pixel shown, in each direction
 
 
 class Sheet(NamedTuple):
-    """A surface on a grid.
+    """A coloured surface on a grid.
 
     Attributes:
-        vertices: Shape (n_u, n_v, 3); y is up.
-        normals: Unit normals.
-        linear: Colours in linear light, in [0, 1].
+        vertices: The vertices, shape (n_u, n_v, 3); y points up.
+        normals: The unit normals, shape (n_u, n_v, 3).
+        linear: The colours in linear light, in [0, 1], shape (n_u, n_v, 3).
     """
 
     vertices: Float[np.ndarray, "n_u n_v 3"]
@@ -39,7 +39,7 @@ class Sheet(NamedTuple):
 
 
 def flower_sheets(flower: Flower) -> list[Sheet]:
-    """Every surface of a flower in its frame, with its colours."""
+    """All surfaces of a flower, in the flower's frame, with their colours."""
     found = []
     for grown in grow(flower):
         linear = colours_on(flower.colour(grown.part), grown.vertices.shape[1:3])
@@ -49,7 +49,7 @@ def flower_sheets(flower: Flower) -> list[Sheet]:
 
 
 def colours_on(colour: Colour, shape: tuple[int, int]) -> Float[np.ndarray, "n_u n_v 3"]:
-    """Linear colours at the vertices of a grid of the whole domain."""
+    """The colours in linear light at the vertices of a grid of the whole domain."""
     u, v = np.linspace(-0.5, 0.5, shape[0]), np.linspace(0, 1, shape[1])
     with jax.enable_x64(True):
         return np.asarray(_colours(colour, u[:, None], v[None, :]))
@@ -68,16 +68,16 @@ def portrait(
     azimuth: float = 0.4,
     elevation: float = 0.5,
 ) -> UInt8[np.ndarray, "h w 4"]:
-    """Sheets as an orthographic picture, all of them in view, transparent where there are none.
+    """An orthographic picture that shows all given surfaces on a transparent background.
 
     Args:
-        sheets: What is drawn.
-        shape: Height and width in pixels.
-        azimuth: Where the viewer stands, in rad from +z towards +x.
-        elevation: How far the viewer is above the horizon, in rad.
+        sheets: The surfaces to draw.
+        shape: The height and the width in pixels.
+        azimuth: The direction of the viewer, in rad from +z towards +x.
+        elevation: The angle of the viewer above the horizon, in rad.
 
     Returns:
-        sRGB and opacity.
+        The picture in sRGB with opacity.
     """
     to_viewer = np.array(
         [
@@ -104,7 +104,7 @@ def portrait(
 
 
 def _lit(sheet: Sheet, to_viewer: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "n_u n_v 3"]:
-    """SRGB of a sheet that is matt, a little translucent, and the same on both sides."""
+    """The sRGB colours of a lit surface that is matt, slightly translucent, and alike on both sides."""
     normals = sheet.normals @ to_viewer.T
     normals = np.where(normals[..., 2:] < 0, -normals, normals)
     cosine = normals @ _LIGHT
@@ -119,7 +119,7 @@ _srgb = Program(to_srgb)
 
 
 def _shaded(canvas: Canvas, scale: float) -> UInt8[np.ndarray, "h w 4"]:
-    """Darker where what is around stands a little nearer to the viewer: the depths between petals."""
+    """The picture, darkened where the surroundings are slightly nearer to the viewer (between petals)."""
     rgba = canvas.rgba
     depth = np.where(rgba[..., 3] > 0, scale * canvas.depth, -1e6).astype(np.float32)
     dark = np.zeros(depth.shape, np.float32)
@@ -127,7 +127,7 @@ def _shaded(canvas: Canvas, scale: float) -> UInt8[np.ndarray, "h w 4"]:
         for angle in 2 * np.pi * (np.arange(_AROUND) + ring / len(_REACHES)) / _AROUND:
             shift = np.rint(reach * np.array([np.sin(angle), np.cos(angle)])).astype(int)
             rise = (np.roll(depth, shift, axis=(0, 1)) - depth) / reach
-            # What is far in front casts no shadow on what is behind it.
+            # Surfaces far in front do not darken what is behind them.
             dark += np.clip(rise - 0.1, 0, 1) * np.exp(-np.square(np.clip(rise, 0, 10) / 3))
     shaded = rgba.copy()
     kept = 1 - dark / (_AROUND * len(_REACHES))
@@ -136,7 +136,7 @@ def _shaded(canvas: Canvas, scale: float) -> UInt8[np.ndarray, "h w 4"]:
 
 
 def _reduced(rgba: UInt8[np.ndarray, "fine_h fine_w 4"]) -> UInt8[np.ndarray, "h w 4"]:
-    """Every pixel the mean of the finer ones in it."""
+    """The picture in which every pixel is the mean of the finer pixels in it."""
     height, width, _ = rgba.shape
     blocks = rgba.reshape(height // _FINE, _FINE, width // _FINE, _FINE, 4).astype(np.float64)
     opacity = blocks[..., 3:]
@@ -146,11 +146,11 @@ def _reduced(rgba: UInt8[np.ndarray, "fine_h fine_w 4"]) -> UInt8[np.ndarray, "h
 
 
 def write_portrait(flower: Flower, path: str | os.PathLike[str]) -> None:
-    """Write a picture of a flower as PNG, whole or not at all.
+    """Write a picture of a flower as PNG, completely or not at all.
 
     Args:
-        flower: What is drawn.
-        path: The file, `.png`; an existing one is replaced.
+        flower: The flower.
+        path: The path of the `.png` file; an existing file is replaced.
 
     Raises:
         FlowerError: The flower would not fit into memory.

@@ -1,4 +1,4 @@
-"""Where the numbers come from: what made them, of what, and all of their digits."""
+"""The provenance of the numbers: the program and the data behind them, and all of their digits."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from petalfit.results.record import FORMAT, VERSION
 
 
 def provenance(result: FitRecord) -> str:
-    """The section of the page."""
+    """The section of the page on provenance, as HTML."""
     rows = {"made by": html.escape(result.made_by)}
     if result.command:
         rows["command"] = f"<code>{html.escape(result.command)}</code>"
@@ -60,7 +60,7 @@ def _pose(result: FitRecord) -> dict[str, str]:
 
 
 def _code(model: eqx.Module, depth: int = 1) -> str | None:
-    """A call that makes the model, as text; None of a model with arrays, which are too long to read."""
+    """A call that makes the model, as text; None for a model with arrays, which are too long to read."""
     lines = []
     for field in dataclasses.fields(model):
         value = getattr(model, field.name)

@@ -1,8 +1,8 @@
 """Pictures of surfaces and points by a depth buffer in plain numpy, and PNG files of them.
 
-A page needs a few shaded sheets and some thousand dots. numpy draws those in a fraction of the
-time that importing a plotting library takes, with an occlusion that is right in every pixel.
-Pictures have twice the pixels that they are shown with, so browsers smooth their edges.
+A page needs a few shaded surfaces and some thousand dots. numpy draws them in a fraction of the
+time that importing a plotting library takes, with correct occlusion in every pixel. Pictures have
+twice the pixels at which they are shown, so browsers smooth their edges.
 """
 
 from __future__ import annotations
@@ -13,18 +13,18 @@ import zlib
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-# A lattice of samples leaves no pixel out if its sides are at most 1/√2 of one.
+# A lattice of samples covers every pixel if its sides are at most 1/√2 of a pixel.
 _SPACING = 0.7
-# A surface that crosses the picture again and again would need any number of samples; beyond this
-# many it gets holes instead.
+# A surface that crosses the picture many times may need any number of samples; beyond this number
+# it is drawn with holes.
 _LARGEST = 6_000_000
 
 
 class Canvas:
-    """A picture in the making: the nearest of all that is drawn keeps each pixel.
+    """A picture with a depth buffer: each pixel shows the nearest of all that is drawn there.
 
     Args:
-        shape: Height and width in pixels.
+        shape: The height and the width in pixels.
     """
 
     def __init__(self, shape: tuple[int, int]) -> None:
@@ -34,12 +34,12 @@ class Canvas:
 
     @property
     def rgba(self) -> UInt8[np.ndarray, "h w 4"]:
-        """What was drawn, transparent where nothing is."""
+        """The picture, transparent where nothing has been drawn."""
         return self._rgba.reshape(*self.shape, 4)
 
     @property
     def depth(self) -> Float[np.ndarray, "h w"]:
-        """Of what was drawn; larger is nearer to the viewer, −inf where nothing is."""
+        """The depth of every pixel; larger is nearer to the viewer, −inf where nothing has been drawn."""
         return self._nearest.reshape(*self.shape)
 
     def sheet(
@@ -48,18 +48,18 @@ class Canvas:
         depth: Float[np.ndarray, "n_u n_v"],
         rgb: Float[np.ndarray, "n_u n_v 3"],
     ) -> None:
-        """Draw a surface given on a grid, bilinear in every cell, without holes.
+        """Draw a surface on a grid, bilinear in every cell, without holes.
 
         Args:
-            xy: Pixels of the grid's vertices: right and down.
-            depth: Their depths; larger is nearer to the viewer.
-            rgb: Their colours in [0, 1].
+            xy: The places of the grid's vertices in pixels, right and down.
+            depth: The depths of the vertices; larger is nearer to the viewer.
+            rgb: The colours of the vertices in [0, 1].
         """
         grid = np.concatenate([xy, depth[..., None], rgb], axis=-1)
         cells = np.stack([grid[:-1, :-1], grid[:-1, 1:], grid[1:, :-1], grid[1:, 1:]])
         cells = cells.reshape(4, -1, 6).transpose(0, 2, 1).astype(np.float32)
         counts = _sample_counts(cells[:, :2])
-        # Cells of one size at a time: their samples stay in the processor's cache.
+        # Cells are drawn by size, so that their samples stay in the processor's cache.
         for pair in np.unique(counts, axis=0):
             u, v = ((np.arange(count, dtype=np.float32) + 0.5) / count for count in pair)
             u, v = (x.ravel() for x in np.meshgrid(u, v))
@@ -78,10 +78,10 @@ class Canvas:
         """Draw flat discs that face the viewer.
 
         Args:
-            xy: Pixels of the centres: right and down.
-            depth: Their depths; larger is nearer to the viewer.
-            rgb: Their colours in [0, 1].
-            radius: In pixels.
+            xy: The places of the centres in pixels, right and down.
+            depth: The depths of the discs; larger is nearer to the viewer.
+            rgb: The colours of the discs in [0, 1].
+            radius: The radius in pixels.
         """
         reach = np.arange(-int(radius) - 1, int(radius) + 2)
         stamp = np.stack(np.meshgrid(reach, reach), axis=-1).reshape(-1, 2)
@@ -103,7 +103,7 @@ class Canvas:
 
 
 def _sample_counts(corners: Float[np.ndarray, "4 2 cells"]) -> Int[np.ndarray, "cells 2"]:
-    """How many samples along u and along v each cell needs; few different numbers."""
+    """The numbers of samples along u and v that each cell needs, rounded up to few different ones."""
     c00, c01, c10, c11 = corners
     along_u = np.maximum(*(np.hypot(*side) for side in (c10 - c00, c11 - c01)))
     along_v = np.maximum(*(np.hypot(*side) for side in (c01 - c00, c11 - c10)))

@@ -1,4 +1,4 @@
-"""Numbers as people read them: rounded to what is known, with a real minus sign."""
+"""Numbers as text for people: rounded to what is known, with a true minus sign."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _MOST_DECIMALS = 9
 
 
 def plain(value: float, digits: int = 3) -> str:
-    """A number with so many significant digits, 0.0501 or −1.23 × 10⁻⁷ for instance."""
+    """A number with this many significant digits, for instance 0.0501 or −1.23 × 10⁻⁷."""
     if not math.isfinite(value):
         return "not a number" if math.isnan(value) else "∞" if value > 0 else "−∞"
     if value == 0:
@@ -24,7 +24,7 @@ def plain(value: float, digits: int = 3) -> str:
 
 
 def fixed(value: float, decimals: int) -> str:
-    """A number with so many decimals; no minus sign on a zero."""
+    """A number with this many decimals; a zero has no minus sign."""
     if not math.isfinite(value):
         return plain(value)
     text = f"{value:.{decimals}f}"
@@ -32,7 +32,7 @@ def fixed(value: float, decimals: int) -> str:
 
 
 def decimals_of(error: float) -> int:
-    """The decimals that show an error with two significant digits; of its value the same."""
+    """The number of decimals that shows an error, and the value it belongs to, to two digits."""
     if not (math.isfinite(error) and error > 0):
         return 6
     power = int(f"{error:.1e}".split("e")[1])
@@ -40,19 +40,19 @@ def decimals_of(error: float) -> int:
 
 
 def measured(value: float, error: float) -> tuple[str, str]:
-    """A value and its standard error to the same decimals, the error with two digits."""
+    """A value and its standard error with the same decimals, such that the error has two digits."""
     decimals = decimals_of(error)
     small = math.isfinite(error) and error < 10.0 ** (1 - decimals) / 2
     return fixed(value, decimals), plain(error, 2) if small else fixed(error, decimals)
 
 
 def count(number: int, noun: str) -> str:
-    """1 point, 1,500 points."""
+    """A number with its noun, as in "1 point" or "1,500 points"."""
     return f"{number:,} {noun}" + ("s" if number != 1 else "")
 
 
 def listed(names: Sequence[str]) -> str:
-    """`a, b and c`."""
+    """Names in a list, as in "a, b and c"."""
     return " and ".join(filter(None, [", ".join(names[:-1]), *names[-1:]]))
 
 
@@ -60,9 +60,9 @@ def ticks(low: float, high: float, most: int = 6) -> list[float]:
     """Round numbers in a range: multiples of 1, 2 or 5 times a power of ten.
 
     Args:
-        low: Lower end.
-        high: Upper end, above `low`.
-        most: At most so many numbers, at least 2.
+        low: The lower end of the range.
+        high: The upper end of the range, above `low`.
+        most: The largest number of ticks, at least 2.
     """
     step = round_up((high - low) / most)
     first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
@@ -70,13 +70,13 @@ def ticks(low: float, high: float, most: int = 6) -> list[float]:
 
 
 def round_up(length: float) -> float:
-    """The next of 1, 2, 5, 10, … times a power of ten."""
+    """The least number of the form 1, 2 or 5 times a power of ten that is not below `length`."""
     power = 10.0 ** math.floor(math.log10(length))
     return next(m * power for m in (1, 2, 5, 10) if m * power >= length * (1 - 1e-9))
 
 
 def share(drawn: int, total: int) -> str:
-    """How many of all points are shown, in words."""
+    """A phrase that says how many of all points are shown."""
     if drawn == total:
         return f"all {count(total, 'point')}" if total != 1 else "the only point"
     return f"{drawn:,} of {count(total, 'point')}, chosen at random,"

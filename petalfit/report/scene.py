@@ -1,4 +1,4 @@
-"""What the pictures show: the fitted surface and the target, seen along the petal's own axes."""
+"""The scene of the pictures: the fitted surface and the target, in the petal's own axes."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from petalfit.report.colour import FRONT, IGNORED, POINT, REAR, diverging, shade
 from petalfit.report.raster import Canvas
 from petalfit.results import Agreement, FitRecord
 
-# The resolution of `FitRecord.mesh`, so that a process compiles one tessellation and no more.
+# The resolution of `FitRecord.mesh`, so that a process compiles only one tessellation.
 _RESOLUTION = (65, 65)
-# Of more points a random choice is drawn, the same at every time.
+# The most points that are drawn; of more points a random choice is drawn, always the same.
 _IN_MAP = 20_000
 _IN_VIEW = 2500  # more would cover the surface
 LIGHT = np.array([-0.45, 0.55, 0.7]) / np.linalg.norm([-0.45, 0.55, 0.7])
@@ -27,12 +27,12 @@ class Scene:
     """A fit in the petal's axes (x across, y along, z its normal) and the target's unit.
 
     Attributes:
-        vertices: Of the surface, or of every part of an assembly, shape (k, n_u, n_v, 3).
-        normals: Unit normals there.
-        points: Those of the target that the map shows, shape (m, 3). Any first part of them is a
-            fair choice too.
-        distances: Their signed distances to the surface, shape (m,).
-        used: Whether a point had a weight in the fit and is not taken for a stray, shape (m,).
+        vertices: The vertices of the surface, or of the k parts of an assembly, shape (k, n_u, n_v, 3).
+        normals: The unit normals at the vertices, shape (k, n_u, n_v, 3).
+        points: The points of the target that the map shows, shape (m, 3), in random order: the first n
+            of them are a random choice for every n.
+        distances: The signed distances of these points to the surface, shape (m,).
+        used: Whether each point had a weight in the fit and is not an outlier, shape (m,).
     """
 
     vertices: Float[np.ndarray, "k n_u n_v 3"]
@@ -43,7 +43,7 @@ class Scene:
 
     @classmethod
     def of(cls, result: FitRecord, part: Agreement | None = None) -> Scene:
-        """The scene of a fit with one of its clouds, or with no points if there is none."""
+        """The scene of a fit with one of its clouds, or without points if `part` is None."""
         mesh = result.model.mesh(_RESOLUTION)
         pose = result.pose
         points, distances, used = np.empty((0, 3)), np.empty(0), np.empty(0, bool)
@@ -62,12 +62,12 @@ class Scene:
 
     @property
     def finite(self) -> bool:
-        """Whether it can be drawn: a fit that failed may end with anything."""
+        """Whether all numbers are finite, as drawing requires; after a failed fit they may not be."""
         return bool(np.isfinite(self.vertices).all() and np.isfinite(self.points).all())
 
     @property
     def outlines(self) -> list[Float[np.ndarray, "l 3"]]:
-        """The edge of every sheet, once around."""
+        """The edge of every surface as a closed curve."""
         return [
             np.concatenate([grid[:, 0], grid[-1, 1:], grid[-2::-1, -1], grid[0, -2::-1]])
             for grid in self.vertices
@@ -75,7 +75,7 @@ class Scene:
 
 
 def distance_limit(part: Agreement) -> float:
-    """The distance at which colours end: 3 σ, or where the farthest begin if the fit is poor."""
+    """The distance at which the colours end: 3 σ, or the 98 % quantile of distances if above 4 σ."""
     usable = np.abs(part.distances[part.used & np.isfinite(part.distances)])
     noise = part.noise if np.isfinite(part.noise) else 0.0
     far = float(np.quantile(usable, 0.98)) if len(usable) else 0.0
@@ -83,11 +83,11 @@ def distance_limit(part: Agreement) -> float:
 
 
 class View(NamedTuple):
-    """Where the scene is looked at from: an orthographic camera.
+    """A view of the scene: an orthographic camera.
 
     Attributes:
-        name: Says it to a reader.
-        axes: Rows point right, up, and towards the viewer, in the petal's axes; shape (3, 3).
+        name: The name of the view, for readers.
+        axes: The directions right, up and towards the viewer as rows, in the petal's axes; shape (3, 3).
     """
 
     name: str
@@ -95,7 +95,7 @@ class View(NamedTuple):
 
 
 def _turned(azimuth: float, elevation: float) -> Float[np.ndarray, "3 3"]:
-    """A look at the upper side, the petal's tip up, from the right (+) and from below (−)."""
+    """The axes of a view of the upper side, tip up; degrees to the right (+) and upwards (+)."""
     a, e = np.radians([azimuth, elevation])
     right = np.array([np.cos(a), 0.0, -np.sin(a)])
     back = np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
@@ -112,11 +112,11 @@ class Picture(NamedTuple):
     """A drawn view.
 
     Attributes:
-        rgba: Shape (h, w, 4), transparent where nothing is.
-        view: Where it is seen from.
-        corner: What the picture's left and lower edges are in the view's right and up, shape (2,).
-        scale: Pixels per unit of length.
-        drawn: Number of points.
+        rgba: The pixels, shape (h, w, 4), transparent where nothing is drawn.
+        view: The view.
+        corner: The coordinates of the left and the lower edge along the view's right and up, shape (2,).
+        scale: The number of pixels per unit of length.
+        drawn: The number of points drawn.
     """
 
     rgba: UInt8[np.ndarray, "h w 4"]
@@ -127,7 +127,7 @@ class Picture(NamedTuple):
 
 
 def _framed(view: View, scene: Scene, width: int, aspects: tuple[float, float]) -> Picture:
-    """An empty picture that holds everything, as flat as the content allows."""
+    """An empty picture with room for the whole scene, as low as the scene allows."""
     everything = np.concatenate([scene.vertices.reshape(-1, 3), scene.points]) @ view.axes[:2].T
     low, high = everything.min(axis=0), everything.max(axis=0)
     sides = np.maximum(high - low, 1e-9 * np.abs(everything).max() + 1e-300)
@@ -139,7 +139,7 @@ def _framed(view: View, scene: Scene, width: int, aspects: tuple[float, float]) 
 
 
 def _place(picture: Picture, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels (right, down) and depths of points, shapes (..., 2) and (...)."""
+    """The places of points in pixels (right, down) and their depths, shapes (..., 2) and (...)."""
     seen = points @ picture.view.axes.T
     xy = (seen[..., :2] - picture.corner) * picture.scale
     xy[..., 1] = len(picture.rgba) - xy[..., 1]
@@ -149,12 +149,12 @@ def _place(picture: Picture, points: np.ndarray) -> tuple[np.ndarray, np.ndarray
 def draw_view(
     scene: Scene, view: View, width: int, aspects: tuple[float, float] = (0.3, 1.2)
 ) -> Picture:
-    """The shaded surface with the target's points on it, behind it and before it.
+    """Draws the shaded surface with the target's points on it, behind it and in front of it.
 
     Args:
-        scene: What to draw.
-        view: From where.
-        width: Of the picture, in pixels.
+        scene: The scene to draw.
+        view: The view.
+        width: The width of the picture, in pixels.
         aspects: The least and the greatest height, as fractions of the width.
     """
     picture = _framed(view, scene, width, aspects)
@@ -166,8 +166,8 @@ def draw_view(
     rgb = shaded(np.where(front, FRONT, REAR), lit)
     for sheet in zip(xy, depth, rgb, strict=True):
         canvas.sheet(*sheet)
-    # Points lie within the noise of the sheet. Those of the visible side are shown whole, those of
-    # a side that is turned away are hidden: a lift of some cells tells the two apart.
+    # Points lie within the noise of the surface. Those on the visible side are shown completely, and
+    # those on the side that is turned away are hidden: a lift by some cells separates the two.
     lift = 0.01 * float(np.linalg.norm(np.ptp(scene.vertices.reshape(-1, 3), axis=0)))
     xy, depth = _place(picture, scene.points[:_IN_VIEW])
     colours = np.where(scene.used[:_IN_VIEW, None], POINT, IGNORED)
@@ -180,12 +180,12 @@ def draw_view(
 def draw_map(
     scene: Scene, limit: float, width: int, aspects: tuple[float, float] = (0.5, 1.4)
 ) -> Picture:
-    """The points from the front, coloured by signed distance, the farthest on top.
+    """Draws the points from the front, coloured by signed distance, the largest distances on top.
 
     Args:
-        scene: What to draw.
-        limit: Distance of the two ends of the colours, positive.
-        width: Of the picture, in pixels.
+        scene: The scene to draw.
+        limit: The distance at the two ends of the colours, positive.
+        width: The width of the picture, in pixels.
         aspects: The least and the greatest height, as fractions of the width.
     """
     picture = _framed(FACE, scene, width, aspects)
@@ -199,6 +199,6 @@ def draw_map(
 
 
 def _dot_radius(picture: Picture, n: int, least: float, greatest: float) -> float:
-    """Dots that cover about a quarter of a picture, in pixels."""
+    """The radius in pixels of n dots that cover about a quarter of a picture, within the given range."""
     height, width, _ = picture.rgba.shape
     return float(np.clip(0.25 * np.sqrt(height * width / max(n, 1)), least, greatest))

@@ -1,4 +1,4 @@
-"""Dots of a colour in a text, and what they stand for."""
+"""Coloured dots in a text, and the legend of grey points."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from petalfit.report.scene import Scene
 
 
 def swatch(colour: str) -> str:
-    """A dot of a colour, or of any background that CSS knows."""
+    """A dot as HTML, of a colour or of any other CSS background."""
     return f'<span class="swatch" style="background:{colour}"></span>'
 
 
 def ignored(scene: Scene) -> str:
-    """What grey points are, if there are any."""
+    """A phrase that explains grey points, if there are any."""
     if scene.used.all():
         return ""
     return f" ({swatch(css(IGNORED))} without weight or taken for strays)"

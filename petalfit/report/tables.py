@@ -1,4 +1,4 @@
-"""The page's tables: parameters, starts, correlations, and where the numbers come from."""
+"""The tables of the page: parameters, pose, starts, families and correlations."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ _POSE = {
 
 
 def _symbol(parameter: Parameter) -> str:
-    """The paper's symbol, what follows an underscore as a subscript."""
+    """The paper's symbol as HTML; the part after an underscore is a subscript."""
     head, _, tail = parameter.symbol.partition("_")
     subscript = f"<sub>{html.escape(tail)}</sub>" if tail else ""
     return f"<var>{html.escape(head)}{subscript}</var>"
 
 
 def parameter_table(result: FitRecord, level: float = 0.95) -> str:
-    """Every parameter of the model: its value ± error, interval, unit and meaning."""
+    """A table of all parameters of the model: value ± error, interval, unit and meaning."""
     intervals = result.interval(level)
     rows = [
         _parameter_row(name, parameter, result, intervals.get(name))
@@ -80,7 +80,7 @@ def _parameter_row(
 
 
 def pose_table(result: FitRecord, level: float = 0.95) -> str | None:
-    """How surely a fitted pose is known; None if it was not fitted."""
+    """A table of a fitted pose and its errors; None if the pose was not fitted."""
     if not result.pose_stderr:
         return None
     values = {"scale": float(result.pose.scale)}
@@ -113,12 +113,12 @@ def _unit(unit: str) -> str:
 
 
 def _data(value: float, text: str) -> str:
-    """A rounded number that carries all its digits for whoever copies or reads the source."""
+    """A rounded number as HTML that keeps all digits in the source, for copying."""
     return f'<data value="{value!r}" title="{value!r}">{html.escape(text)}</data>'
 
 
 def starts_table(result: FitRecord) -> str:
-    """What each start reached, the best first."""
+    """A table of the end points of all starts, the best first."""
     shown = result.starts[:_MOST_STARTS]
     rows = [
         f'<tr><td>{html.escape(start.label)}</td><td class="number">{plain(start.rms, 4)}</td>'
@@ -136,7 +136,7 @@ def starts_table(result: FitRecord) -> str:
 
 
 def families_table(result: FitRecord) -> str:
-    """What each family of petals reached, the best first."""
+    """A table of the fits of all families of petals, the best first."""
     rows = [
         f'<tr><td>{html.escape(rank.model)}</td><td class="number">{plain(rank.rms, 4)}</td>'
         f'<td class="number">{plain(rank.freedom, 3)}</td>'
@@ -152,7 +152,7 @@ def families_table(result: FitRecord) -> str:
 
 
 def correlation_table(result: FitRecord) -> str | None:
-    """Correlations of the determined parameters as a heat map; None if there are not two."""
+    """The correlations of the determined parameters as a heat map; None for fewer than two of them."""
     declared = result.declared
     known = [i for i, name in enumerate(result.names) if result.identifiable[name]]
     covariance = result.covariance[np.ix_(known, known)]

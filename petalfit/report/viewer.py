@@ -1,4 +1,4 @@
-"""The fit in 3-D: surfaces and points that a reader turns, by a script of our own in the page."""
+"""The interactive 3-D view: surfaces and points that a reader turns, drawn by a script in the page."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from petalfit.report.shown import shown
 from petalfit.report.swatch import ignored, swatch
 from petalfit.results import Agreement, FitRecord
 
-# Of all clouds together. A point takes 7 bytes.
+# The most points of all clouds together. A point takes 7 bytes.
 _POINTS = 20_000
-# A sheet takes 50 kB; of more sheets than these every second vertex will do, for each is small.
+# A surface takes 50 kB. If there are more surfaces than this, each is small and gets every second vertex.
 _FINE_SHEETS = 4
-# Places are written as fractions of the range of their coordinates, normals and values of ±1.
+# Places are written as fractions of the range of their coordinates, normals and values as fractions of 1.
 _PLACES, _SIGNED = 65535, 127
 
 _LABEL = "The fit in 3-D. Arrow keys turn it, plus and minus zoom, 0 resets it."
@@ -39,11 +39,11 @@ def viewer(result: FitRecord, scenes: Sequence[Scene], parts: Sequence[Agreement
 
     Args:
         result: The fit.
-        scenes: Its surface with each of its clouds, or with none; finite.
-        parts: What the points of each scene belong to.
+        scenes: The scenes of the fit with each of its clouds, or one scene without points; finite.
+        parts: The observation that the points of each scene belong to; None for a scene without points.
     """
     clouds = [(scene, part) for scene, part in zip(scenes, parts, strict=True) if part is not None]
-    # Of several clouds the widest scale, so that one colour is one distance.
+    # All clouds share the widest scale, so that a colour means the same distance everywhere.
     limit = max((distance_limit(part) for _, part in clouds), default=0.0)
     shown, area = [_sheets(scenes[0])], _area(scenes[0].vertices)
     each = _POINTS // max(len(clouds), 1)
@@ -73,7 +73,7 @@ def viewer(result: FitRecord, scenes: Sequence[Scene], parts: Sequence[Agreement
 
 
 def script() -> str:
-    """What makes every viewer of a page alive."""
+    """The script that starts every viewer of a page."""
     source = importlib.resources.files("petalfit.report").joinpath("viewer.js").read_text("utf-8")
     return (
         f"{source}\nfor (const root of document.querySelectorAll('.viewer')) {{\n"
@@ -82,13 +82,13 @@ def script() -> str:
 
 
 def fingerprint(script: str) -> str:
-    """By which a page's security policy knows a script."""
+    """The hash by which a page's security policy identifies a script."""
     digest = hashlib.sha256(script.encode()).digest()
     return f"sha256-{base64.b64encode(digest).decode('ascii')}"
 
 
 def _sheets(scene: Scene) -> dict[str, Any]:
-    """Every sheet of the surface, one after the other."""
+    """The surfaces of all parts, one after the other, as data for the script."""
     step = 1 if len(scene.vertices) <= _FINE_SHEETS else 2
     vertices, normals = scene.vertices[:, ::step, ::step], scene.normals[:, ::step, ::step]
     normals = np.rint(_SIGNED * np.nan_to_num(normals)).astype(np.int8)
@@ -101,7 +101,7 @@ def _sheets(scene: Scene) -> dict[str, Any]:
 
 
 def _area(vertices: Float[np.ndarray, "k n_u n_v 3"]) -> float:
-    """Of all sheets, cell by cell."""
+    """The area of all surfaces, summed over their cells."""
     diagonals = (
         vertices[:, 1:, 1:] - vertices[:, :-1, :-1],
         vertices[:, 1:, :-1] - vertices[:, :-1, 1:],
@@ -110,8 +110,8 @@ def _area(vertices: Float[np.ndarray, "k n_u n_v 3"]) -> float:
 
 
 def _dots(scene: Scene, most: int, limit: float, area: float, suffix: str) -> list[dict[str, Any]]:
-    """Points with their distances in units of the limit, and those without weight apart."""
-    # What lies between points that are spread over the surface: dots of its size leave some of it to see.
+    """Points with their distances in units of the limit, and separately those without weight."""
+    # The mean distance of points spread over the surface; dots of this size leave some of it visible.
     spacing = (area / max(len(scene.points[:most]), 1)) ** 0.5
     points, used = scene.points[:most], scene.used[:most]
     values = np.clip(np.nan_to_num(scene.distances[:most][used] / limit), -1, 1)
@@ -148,7 +148,7 @@ def _base64(array: np.ndarray) -> str:
 
 
 def _views(result: FitRecord, clouds: bool) -> list[View]:
-    """From where a reader may look, the first one to begin with: a camera's if there are only masks."""
+    """The views a reader may choose; the initial one comes first, a camera's if there are only masks."""
     usual = [OBLIQUE, FACE, SIDE, BASE]
     cameras = [
         camera for part in result.agreements if (camera := shown(part).camera(part)) is not None
@@ -181,7 +181,7 @@ def _switch(name: str, checked: str, colour: str) -> str:
 
 
 def _colour_bar(limit: float, noise: float) -> str:
-    """The colours of the map, with the distances of both ends."""
+    """The colour bar of the distances, with the distances at both ends."""
     of_noise = f" (±{limit / noise:.2g} σ)" if 0 < noise < np.inf and limit < 1e3 * noise else ""
     ends = "".join(f"<span>{plain(part * limit, 2)}</span>" for part in (-1.0, 0.0, 1.0))
     colours = ", ".join(map(css, (NEGATIVE, ZERO, POSITIVE)))

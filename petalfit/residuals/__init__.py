@@ -1,4 +1,4 @@
-"""How a posed model meets an observation, in units of its noise."""
+"""Residuals of a posed model against an observation, in units of the noise."""
 
 from petalfit.residuals.contact import Frame as Frame
 from petalfit.residuals.contact import frame as frame

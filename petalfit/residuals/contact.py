@@ -1,4 +1,4 @@
-"""Where points meet a surface: the frame at a foot point, and derivatives pulled back to parameters."""
+"""The frame of a surface at a foot point, and derivatives pulled back to the surface's parameters."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from petalfit.surfaces import AbstractSurface, position_and_tangents
 
 
 class Frame(NamedTuple):
-    """The surface at given (u, v): position, unit normal, and what lies towards the nearer edges.
+    """The frames of a surface at given (u, v): positions, unit normals, and the nearer edges.
 
     Attributes:
-        position: S, shape (n, 3).
-        normal: Unit normal, shape (n, 3); zero where the tangents are dependent.
+        position: The points S, shape (n, 3).
+        normal: Unit normals, shape (n, 3); zero where the tangents are dependent.
         conormals: Unit vectors in the tangent plane, perpendicular to the nearer u edge and the nearer
             v edge, pointing out of the surface, shape (n, 2, 3).
-        left: Distance that is left to these edges along the surface, to first order, shape (n, 2);
-            without end where the surface has no such edge.
+        left: The distances to these edges along the surface, to first order, shape (n, 2); a very large
+            number where the surface has no such edge.
         speed: |∂S/∂u| and |∂S/∂v|, shape (n, 2).
         area_element: |∂S/∂u × ∂S/∂v|, shape (n,).
     """
@@ -33,15 +33,15 @@ class Frame(NamedTuple):
     area_element: Float[Array, " n"]
 
     def distance(self, points: Float[Array, "n 3"]) -> Float[Array, " n"]:
-        """Signed distance of every point from the tangent plane, positive on the normal's side."""
+        """The signed distance of every point from the tangent plane, positive on the normal's side."""
         return _dot(self.normal, points - self.position)
 
     def beyond(self, points: Float[Array, "n 3"]) -> Float[Array, "n 2"]:
-        """How far every point lies beyond the nearer u edge and v edge, negative inside."""
+        """The distances of every point beyond the nearer u edge and v edge, negative inside."""
         return _dot(self.conormals, (points - self.position)[:, None]) - self.left
 
 
-_NO_EDGE = 1e30  # what is left to an edge that is not there
+_NO_EDGE = 1e30  # the distance to an edge that does not exist
 
 
 def frame(surface: AbstractSurface, uv: Float[Array, "n 2"]) -> Frame:
@@ -68,10 +68,10 @@ def frame(surface: AbstractSurface, uv: Float[Array, "n 2"]) -> Frame:
 def pull_back(
     surface: AbstractSurface, uv: Float[Array, "n 2"], covectors: Float[Array, "n 3"]
 ) -> AbstractSurface:
-    """Derivatives of w·S(u, v) by the surface's parameters, per point.
+    """The derivatives of w·S(u, v) by the surface's parameters, for every point.
 
-    One reverse pass per point, all parameters at once: four to seven times faster than forward
-    derivatives by one parameter after the other.
+    One reverse pass per point gives all parameters at once. This is four to seven times faster than
+    forward derivatives by one parameter after the other.
 
     Returns:
         A pytree like `surface`; the leaf of a scalar parameter has shape (n,).
@@ -88,5 +88,5 @@ def _dot(a: Array, b: Array) -> Array:
 
 
 def _ratio(a: Array | float, b: Array) -> Array:
-    """A / b, zero where b vanishes (a degenerate tangent)."""
+    """The ratio a/b, or zero where b vanishes (a degenerate tangent)."""
     return jnp.where(b > 0, a / jnp.where(b > 0, b, 1.0), 0.0)

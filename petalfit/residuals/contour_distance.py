@@ -1,10 +1,10 @@
 """Silhouettes: distances between a contour and an outline, along the normal in the image.
 
 A place x of the contour is matched with the (u, v) of a place on the outline whose normal in the image
-is m. Its distance m·(π(S(u, v)) − x) has the derivative m·∂π(S)/∂θ at fixed (u, v): a rim slides along
-itself, and on a fold both tangents are seen along the outline, so that what (u, v) does is not seen.
-With the rows of the camera's matrix M, the distance is a ratio of two affine functions of S, for
-orthographic and perspective cameras alike.
+is m. The distance m·(π(S(u, v)) − x) has the derivative m·∂π(S)/∂θ at fixed (u, v). A motion of (u, v)
+does not change it: on a rim the place slides along the rim, and on a fold the images of both tangents lie
+along the outline. In terms of the rows of the camera's matrix M, the distance is a ratio of two affine
+functions of S, for orthographic and perspective cameras alike.
 """
 
 from __future__ import annotations
@@ -17,14 +17,17 @@ from petalfit.surfaces import AbstractSurface
 
 
 class ContourDistance(AbstractTerm, AbstractFrozen):
-    """Matched places of one or several views. Matching is done anew outside of the compiled rounds.
+    """The distances of matched places of one or several views.
+
+    Places are matched again outside of the compiled rounds.
 
     Attributes:
-        uv: On the surface, shape (n, 2).
-        plane: q, shape (n, 4); q·(S, 1) is the distance times the depth.
-        depth: z, shape (n, 4); z·(S, 1) is the depth: 1 for an orthographic camera.
-        root: Square root of the weight over the noise, in 1/pixel; 0 for padding.
-        sigma: 1; each view's noise is in `root`.
+        uv: The places on the surface, shape (n, 2).
+        plane: The coefficients q, shape (n, 4); q·(S, 1) is the distance times the depth.
+        depth: The coefficients z, shape (n, 4); z·(S, 1) is the depth, which is 1 for an orthographic
+            camera.
+        root: The square root of the weight over the noise, in 1/pixel, shape (n,); 0 for padding.
+        sigma: Always 1, because `root` contains the noise of each view.
     """
 
     uv: Float[Array, "n 2"]
@@ -39,7 +42,7 @@ class ContourDistance(AbstractTerm, AbstractFrozen):
         return self, self, None
 
     def pixels(self, surface: AbstractSurface) -> Float[Array, " n"]:
-        """Signed distances in pixels, positive where the outline lies outside of the contour."""
+        """The signed distances in pixels, positive where the outline lies outside the contour."""
         seen, depth = self._seen(surface)
         return seen / depth
 

@@ -1,10 +1,10 @@
-"""The bias that noise and curvature together put into tangent distances, and its removal.
+"""The bias of tangent distances that noise and curvature cause together, and its removal.
 
-A point blurred by noise across a ridge is nearest to a place that it does not come from, and its
-distance has no longer the mean zero: least squares then finds ribs a little too high. The expected
-score at the fitted surface is that bias, and needs no formula: perturb clean points of the surface by
-noise of the right variance, find their foot points, and evaluate the score. With both signs of the
-same perturbation the part linear in the noise cancels, which leaves the bias almost without scatter.
+A point that noise has moved across a ridge is nearest to a place from which it does not come, and the
+mean of its distance is no longer zero: least squares then finds ribs slightly too high. The bias is the
+expected score at the fitted surface, and can be computed without a formula: perturb clean points of the
+surface by noise of the right variance, find their foot points, and evaluate the score. Using both signs
+of the same perturbation cancels the part linear in the noise, so the bias has almost no scatter.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-# Waves per unit of the domain of the perturbation's three components. √2 cos has mean 0, variance 1;
-# being a function of (u, v) and not of the order of the points, it repeats whatever the order.
+# Waves per unit of the domain, for the three components of the perturbation. √2 cos has mean 0 and
+# variance 1; as a function of (u, v) it does not depend on the order of the points.
 _WAVES = np.array([[173.0, 113.0], [211.0, -89.0], [149.0, 157.0]])
 
 
 def perturbation(uv: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
-    """Displacements of unit variance in every coordinate, one for each place of a surface."""
+    """A displacement for each place of a surface, of unit variance in every coordinate."""
     return np.sqrt(2.0) * np.cos(2 * np.pi * uv @ _WAVES.T)

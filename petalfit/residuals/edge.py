@@ -1,14 +1,14 @@
-"""The edge of a petal: how likely a point is that lies near it, and how the edge is held in place.
+"""The likelihood of points near the edge of a petal, and the term that balances it.
 
 Points spread evenly with density ρ over a surface and blurred by Gaussian noise σ have, at a distance e
-beyond a straight edge, the density ρ Φ(−e/σ). The negative logarithm of that is the edge residual; it
-pushes the edge outwards. What holds the edge back is that an even spread over a larger surface makes
-every point less likely: −log Area per point, whose derivative by a motion of the edge is the integral
-of ρ times the conormal speed. The two balance at the truth, with no free weight.
+beyond a straight edge, the density ρ Φ(−e/σ). Its negative logarithm is the edge residual, which pushes
+the edge outwards. The balance comes from the area: an even spread over a larger surface makes every point
+less likely, by −log Area per point, whose derivative by a motion of the edge is the integral of ρ times
+the conormal speed. The two terms balance at the truth, without a free weight.
 
-Where the surface is not wide against σ, both edges blur every point: the density Φ(−e₁/σ) Φ(−e₂/σ) has
-the integral Z(w) = w Φ(a) + √2 σ φ(a), a = w/√2σ, across a width w, and log Z takes the place of log w.
-Without it a pointed end could always be made more likely by making it narrower.
+Where the width w of the surface is not large compared with σ, both edges affect every point: the density
+Φ(−e₁/σ) Φ(−e₂/σ) has the integral Z(w) = w Φ(a) + √2 σ φ(a), a = w/√2σ, across the width, and log Z
+replaces log w. Otherwise a pointed end could always be made more likely by making it narrower.
 """
 
 from __future__ import annotations
@@ -21,32 +21,32 @@ from jaxtyping import Array, Float
 from petalfit.residuals.contact import Frame
 from petalfit.surfaces import AbstractSurface, Domain
 
-_REACH = 6.0  # beyond this many σ inside the edge, the edge is out of sight
+_REACH = 6.0  # in σ; points farther inside than this do not feel the edge
 
 
 def edge_residual(beyond: Float[Array, "..."]) -> Float[Array, "..."]:
-    """√(−2 log Φ(−e)) for e in units of σ: 0 well inside, e far outside; smooth, with finite slope."""
+    """√(−2 log Φ(−e)), e in units of σ: 0 far inside, e far outside; smooth, with a finite slope."""
     seen = beyond > -_REACH
     log_probability = log_ndtr(-jnp.where(seen, beyond, 0.0))
     return jnp.where(seen, jnp.sqrt(-2.0 * log_probability), 0.0)
 
 
 def edge_score(beyond: Float[Array, "..."]) -> Float[Array, "..."]:
-    """d/de of −log Φ(−e), for e in units of σ."""
+    """The derivative of −log Φ(−e) by e, for e in units of σ."""
     seen = beyond > -_REACH
     e = jnp.where(seen, beyond, 0.0)
     slope = jnp.exp(-0.5 * e**2 - log_ndtr(-e)) / np.sqrt(2 * np.pi)
     return jnp.where(seen, slope, 0.0)
 
 
-_CELLS = 8  # per side, in which the density of points along the edge is counted
-_NODES = 64  # of the midpoint rule along every side
-_GRID = 32  # per side, of the midpoint rule for the cells' areas
+_CELLS = 8  # cells per side, in which the density of points along the edge is counted
+_NODES = 64  # nodes of the midpoint rule along every side
+_GRID = 32  # nodes per side of the midpoint rule for the areas of the cells
 EDGE_NODES = 4 * _NODES
 
 
 def edge_nodes(domain: Domain) -> Float[np.ndarray, "m 2"]:
-    """Where `edge_pull` wants the frames: `EDGE_NODES` places along the edge, then a grid."""
+    """The places at which `edge_pull` needs frames: `EDGE_NODES` along the edge, then a grid."""
     low, high = np.array(domain).T
     along, zero, grid = _midpoints(_NODES), np.zeros(_NODES), _midpoints(_GRID)
     sides = [(zero, along), (zero + 1, along), (along, zero), (along, zero + 1)]
@@ -56,10 +56,11 @@ def edge_nodes(domain: Domain) -> Float[np.ndarray, "m 2"]:
 
 
 def _counted(beyond: Array) -> Array:
-    """How much a point counts to the density that holds an edge back, for e in units of σ.
+    """The share with which a point counts in the density that holds an edge back, for e in units of σ.
 
-    Noise takes hardly a point farther than 2σ beyond an edge. Those that lie there say that the edge has
-    to move, and pile up at its foot points: taken for density they would hold it where it is.
+    Noise moves hardly any point farther than 2σ beyond an edge. Points that lie there show that the edge
+    has to move, and their foot points accumulate on the edge; counted as density they would hold it in
+    place.
     """
     return ndtr(2.0 * (1.5 - beyond))
 
@@ -67,7 +68,7 @@ def _counted(beyond: Array) -> Array:
 def blurred_width(
     width: Float[Array | np.ndarray, "*shape"], sigma: Float[Array | np.ndarray, ""]
 ) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
-    """Z(w), and its derivative Φ(w/√2σ)."""
+    """Z(w), the width w blurred by σ, and its derivative Φ(w/√2σ)."""
     a = jnp.asarray(width) / (np.sqrt(2) * sigma)
     share = ndtr(a)
     return width * share + sigma * jnp.exp(-0.5 * a**2) / np.sqrt(np.pi), share
@@ -81,18 +82,19 @@ def edge_pull(
     beyond: Float[Array, " n"],
     sigma: Float[Array, ""],
 ) -> Float[Array, "m 3"]:
-    """Covectors w with Σ w·∂S/∂θ = ∮ ρ (c · ∂S/∂θ) dl, the derivative of Σ log Area by a moving edge.
+    """The derivative of Σ log Area by a motion of the edge, as covectors w at places on the edge.
 
-    The density ρ is counted in the cells along the edge, so that the edge is not pulled into a hole or
-    a missing half, nor by a gradient of the density.
+    They satisfy Σ w·∂S/∂θ = ∮ ρ (c · ∂S/∂θ) dl, with c the conormal. The density ρ is counted in the
+    cells along the edge, so that neither a hole, a missing half nor a gradient of the density pulls the
+    edge.
 
     Args:
-        surface: Its domain and its edges count.
-        here: The surface's frames at `edge_nodes`.
-        uv: Foot points of the cloud.
-        weights: Weight of every point; zero for padding.
-        beyond: How far every point lies beyond the nearest edge, in units of σ, negative inside.
-        sigma: Noise, which takes from ρ where the surface is narrow.
+        surface: The surface, of which the domain and the edges are used.
+        here: The frames of the surface at `edge_nodes`.
+        uv: The foot points of the cloud.
+        weights: The weight of every point; zero for padding.
+        beyond: The distance of every point beyond the nearest edge, in units of σ, negative inside.
+        sigma: The noise, which reduces ρ where the surface is narrow.
 
     Returns:
         A covector for each of the first `EDGE_NODES` nodes.
@@ -116,7 +118,7 @@ def edge_pull(
 
 
 def _density(domain: Domain, element: Array, uv: Array, weights: Array) -> Array:
-    """Points per area in _CELLS × _CELLS cells, smooth in the points: each is shared by hat functions."""
+    """Points per area in _CELLS × _CELLS cells; hat functions divide each point smoothly among cells."""
     low, high = np.array(domain).T
 
     def hats(fraction: Array | np.ndarray) -> Array:
@@ -131,7 +133,7 @@ def _density(domain: Domain, element: Array, uv: Array, weights: Array) -> Array
 
 
 def _widths(domain: Domain, grid: Frame) -> tuple[Array, Array]:
-    """Widths from one u edge to the other in every cell of v, and from v edge to v edge by u."""
+    """The widths between the u edges in every cell of v, and between the v edges in every cell of u."""
     ranges = np.ptp(np.array(domain), axis=1)
     element = grid.area_element.reshape(_GRID, _GRID)
     speed = grid.speed.reshape(_GRID, _GRID, 2)
@@ -147,7 +149,7 @@ def _widths(domain: Domain, grid: Frame) -> tuple[Array, Array]:
 
 
 def _narrowed(width: Array, sigma: Array) -> Array:
-    """W times d(log Z)/dw: 1 where a surface is wide against σ, and 0 where it has no width."""
+    """The factor w d(log Z)/dw: 1 where a surface is wide compared with σ, 0 where it has no width."""
     blurred, slope = blurred_width(width, sigma)
     return width * slope / blurred
 

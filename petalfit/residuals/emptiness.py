@@ -1,4 +1,4 @@
-"""What a surface has against places where nothing was seen: it must not reach far beyond the points."""
+"""A term against parts of a surface where no points were observed: spurs that stick out of a cloud."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from petalfit.surfaces import AbstractSurface
 
 
 class Emptiness(AbstractTerm):
-    """Σ w (d − slack)₊²/2σ² over places of the surface, with d their distances to the nearest points.
+    """The term Σ w (d − slack)₊²/2σ², with d the distance of a surface's place to the nearest point.
 
-    Distances from points to a surface do not punish a spur that sticks out of them. Where the cloud
-    covers the surface no place is farther from it than the slack, and this term is silent.
+    Distances from points to a surface do not penalise a spur that sticks out of the cloud. Where the
+    cloud covers the surface, no place is farther from it than the slack, and this term is zero.
 
     Attributes:
-        uv: Places of the surface.
-        nearest: The cloud's point nearest to each.
-        weights: How much each counts.
-        slack: How far from its points a covered surface may be.
-        sigma: What the excess is measured in.
+        uv: Places of the surface, shape (n, 2).
+        nearest: The point of the cloud nearest to each place, shape (n, 3).
+        weights: The weight w of each place, shape (n,).
+        slack: The largest distance between a covered surface and its points.
+        sigma: The unit σ in which the excess is measured.
     """
 
     uv: Float[Array, "n 2"]
@@ -40,7 +40,12 @@ class Emptiness(AbstractTerm):
 
 
 class FrozenEmptiness(AbstractFrozen):
-    """Distances along fixed directions."""
+    """`Emptiness` with distances along fixed directions.
+
+    Attributes:
+        term: The term.
+        direction: Unit vectors from the nearest points to the places, shape (n, 3).
+    """
 
     term: Emptiness
     direction: Float[Array, "n 3"]

@@ -1,4 +1,4 @@
-"""Foot points: the (u, v) of a surface nearest to given points."""
+"""Foot points: the (u, v) of the places of a surface nearest to given points."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from petalfit.surfaces import AbstractSurface
 
 
 def nearest_nodes(surface: AbstractSurface, points: Float[Array, "n 3"]) -> Float[Array, "n 2"]:
-    """The nearest of 17 × 17 places in the domain: a coarse start for `refine_foot_points`."""
+    """The nearest of 17 × 17 places of the domain for each point: coarse starts of foot points."""
     (u_low, u_high), (v_low, v_high) = surface.domain
     fraction = (np.arange(_NODES) + 0.5) / _NODES
     u, v = np.meshgrid(fraction, fraction, indexing="ij")
     u, v = u_low + (u_high - u_low) * u.ravel(), v_low + (v_high - v_low) * v.ravel()
     nodes = surface.position(jnp.asarray(u), jnp.asarray(v))
     squares = jnp.sum(nodes**2, axis=-1)
-    # In batches: all squared distances at once would take gigabytes for a large cloud.
+    # Computed in batches, because all squared distances of a large cloud would take gigabytes.
     index = jax.lax.map(
         lambda x: jnp.argmin(squares - 2.0 * nodes @ x), points, batch_size=min(len(points), 4096)
     )
@@ -31,7 +31,7 @@ def slide_foot_points(
     uv: Float[Array, "n 2"],
     iterations: int | Int[Array, ""],
 ) -> Float[Array, "n 2"]:
-    """Foot points that follow their own local minimum; see `refine_foot_points`."""
+    """Refines foot points within their own local minima; see `refine_foot_points`."""
     return _newton(surface, points, uv, iterations)[0]
 
 
@@ -42,20 +42,20 @@ def refine_foot_points(
     iterations: int | Int[Array, ""],
     around: bool | Bool[Array, ""] = True,
 ) -> Float[Array, "n 2"]:
-    """Minimisers of |S(u, v) − x| over the surface's domain, from the starts `uv`.
+    """Minimises |S(u, v) − x| over the surface's domain for every point, from the starts `uv`.
 
-    Newton with a Levenberg damping per point, its quadratic model minimised over the domain. Needs
-    the second derivatives: where the surface bends within the noise (ribs, the midrib's crest),
-    Gauss-Newton does not converge. Two kinds of points look for a better minimum: those that still
-    move or whose place is weakly determined (between two sheets that meet at a fold, or two ribs),
-    nearby; and the farthest, everywhere.
+    The method is Newton's with a Levenberg damping per point, whose quadratic model is minimised over the
+    domain. Second derivatives are necessary: where the surface bends within the noise (ribs, the midrib's
+    crest), Gauss-Newton does not converge. Two kinds of points then search for a better minimum. Those
+    that still move or are weakly determined (between two layers that meet at a fold, or two ribs) search
+    nearby; the farthest points search everywhere.
 
     Args:
         surface: Any surface.
-        points: Points x, in the surface's frame.
-        uv: Start of every point, inside the domain.
-        iterations: Newton steps for all; two from a good start, six from a coarse one.
-        around: Whether any look for a better minimum at all.
+        points: The points x, in the surface's frame.
+        uv: The start of every point, inside the domain.
+        iterations: The number of Newton steps; two from a good start, six from a coarse one.
+        around: Whether points search for a better minimum at all.
 
     Returns:
         Foot points, never farther from `points` than `uv` was.
@@ -69,7 +69,7 @@ def refine_foot_points(
 def _looked_around(
     surface: AbstractSurface, points: Array, uv: Array, doubt: Array, squared: Array
 ) -> Array:
-    """The better minima that the doubtful and the farthest points find."""
+    """Foot points, improved where the doubtful and the farthest points find better minima."""
     n = len(uv)
     _, doubtful = jax.lax.top_k(doubt, min(n, max(32, n // 32)))
     _, far = jax.lax.top_k(squared, min(n, max(32, n // 64)))
@@ -86,7 +86,7 @@ def _looked_around(
 
 
 def _places_nearby(surface: AbstractSurface, uv: Array) -> Array:
-    """Starts on all sides of given places, shape (4, n, 2)."""
+    """Starts on all four sides of given places, shape (4, n, 2)."""
     low, high = (jnp.asarray(side, uv.dtype) for side in zip(*surface.domain, strict=True))
     sides = np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
     return jnp.clip(uv + 0.04 * (high - low) * sides[:, None], low, high)
@@ -100,9 +100,9 @@ def half_squared_distance(
 
 
 def _places_to_look(surface: AbstractSurface, points: Array) -> Array:
-    """Starts in different parts of the domain, shape (4, n, 2): the nearest node of each part.
+    """Starts in four different parts of the domain, shape (4, n, 2): the nearest node of each part.
 
-    Where a surface folds over itself, the nearest node of all may lie on the wrong sheet.
+    Where a surface folds over itself, the nearest node of all may lie on the wrong layer.
     """
     (u_low, u_high), (v_low, v_high) = surface.domain
     fraction = (jnp.arange(32) + 0.5) / 32
@@ -121,7 +121,7 @@ def _places_to_look(surface: AbstractSurface, points: Array) -> Array:
 
 
 def limits(surface: AbstractSurface) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
-    """Least and greatest (u, v) of foot points: without end where the surface has no edge."""
+    """The least and the greatest (u, v) of foot points; practically infinite where there is no edge."""
     low, high = (jnp.asarray(side, float) for side in zip(*surface.domain, strict=True))
     ends = np.asarray(surface.edges)
     return jnp.where(ends, low, -_ENDLESS), jnp.where(ends, high, _ENDLESS)
@@ -134,9 +134,9 @@ _NODES = 17
 def _newton(
     surface: AbstractSurface, points: Array, uv: Array, iterations: int | Array
 ) -> tuple[Array, Array, Array]:
-    """Foot points, how doubtful each is, and half the squared distance.
+    """Foot points, a number for how doubtful each is, and half the squared distances.
 
-    The most doubtful would still move; then come those whose place is weakly determined.
+    Points that would still move are the most doubtful, followed by those that are weakly determined.
     """
     low, high = limits(surface)
 
@@ -162,7 +162,7 @@ def _newton(
         doubt = jnp.where(step > 1e-6, 10.0 + step, weakness)
         return uv, move, doubt, value, gradient, hessian, damping
 
-    # The first pass only expands at the start.
+    # The first pass only evaluates the expansion at the start.
     n = len(points)
     flat = (jnp.full(n, jnp.inf), jnp.zeros((n, 2)), jnp.zeros((n, 2, 2)))
     state = (uv, jnp.zeros((n, 2)), jnp.zeros(n), *flat, jnp.zeros(n))
@@ -173,12 +173,13 @@ def _newton(
 def _newton_step(
     uv: Array, gradient: Array, hessian: Array, damping: Array, low: Array, high: Array
 ) -> tuple[Array, Array]:
-    """The step to the minimum of a damped, convex quadratic model over the domain, per point.
+    """The step of each point to the minimum of a damped, convex quadratic model over the domain.
 
-    And how weakly the place is determined: minus the smallest eigenvalue of the scaled Hessian.
+    The second result says how weakly each place is determined: minus the smallest eigenvalue of the
+    scaled Hessian.
     """
-    # Scaled to a unit diagonal, since u and v may differ by orders of magnitude: [[a, t], [t, d]]
-    # with a, d = ±1.
+    # The Hessian is scaled to a unit diagonal, [[a, t], [t, d]] with a, d = ±1, because u and v may
+    # differ by orders of magnitude.
     root = jnp.sqrt(jnp.abs(jnp.diagonal(hessian, axis1=1, axis2=2)) + 1e-300)
     a, d = jnp.sign(hessian[:, 0, 0]), jnp.sign(hessian[:, 1, 1])
     t = hessian[:, 0, 1] / (root[:, 0] * root[:, 1])

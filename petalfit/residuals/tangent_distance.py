@@ -1,4 +1,4 @@
-"""Clouds: normal distances from foot points, and distances beyond the edges."""
+"""Residuals of clouds: normal distances at foot points, and distances beyond the edges."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from petalfit.residuals.foot_point import slide_foot_points
 from petalfit.residuals.term import AbstractFrozen, AbstractTerm, Pull
 from petalfit.surfaces import AbstractSurface
 
-# Edges are looked at for the nearest quarter of the points, but never for fewer than this.
+# Edge residuals are computed for the quarter of the points nearest to an edge, but for at least so many.
 _FEW = 256
 
 
 class Data(NamedTuple):
-    """A cloud as the core sees it, padded to a fixed size with zero weights.
+    """A cloud in the form that compiled programs use, padded to a fixed size with zero weights.
 
     Attributes:
-        points: Shape (n, 3), in the model's frame.
-        weights: How many observations each point counts for; zero for padding.
-        sigma: Standard deviation of the noise, in the unit of length; NaN to estimate it.
+        points: The points in the model's frame, shape (n, 3).
+        weights: The number of observations that each point counts for, shape (n,); zero for padding.
+        sigma: The standard deviation of the noise, in the unit of length; NaN to estimate it.
     """
 
     points: Float[Array, "n 3"]
@@ -41,7 +41,10 @@ class Data(NamedTuple):
 
 
 def estimate_sigma(data: Data, distance: Float[Array, " n"], free: int) -> Float[Array, ""]:
-    """√(Σ w d² / (Σ w − p)), or the noise that was given; never below 1e-9 of the extent."""
+    """The given noise, or the estimate √(Σ w d² / (Σ w − p)), at least 1e-9 of the extent.
+
+    p is `free`, the number of fitted parameters.
+    """
     count = jnp.sum(data.weights)
     variance = jnp.sum(data.weights * distance**2) / jnp.maximum(count - free, 1)
     extent = jnp.max(jnp.abs(data.points))
@@ -50,16 +53,17 @@ def estimate_sigma(data: Data, distance: Float[Array, " n"], free: int) -> Float
 
 
 class TangentDistance(AbstractTerm):
-    """Σ d²/2σ² − Σ log Φ(−e/σ) + Σ log Area of a cloud.
+    """The cost of a cloud, Σ d²/2σ² − Σ log Φ(−e/σ) + Σ log Area.
 
-    d are normal distances, e the distances beyond the edges (see `petalfit.residuals.edge`). The
-    distance does not change when its foot point slides, so holding the foot points costs nothing.
+    d are normal distances, e the distances beyond the edges (see `petalfit.residuals.edge`). To first
+    order d does not change when its foot point slides, so nothing is lost by holding foot points fixed.
 
     Attributes:
         data: The cloud.
-        uv: Foot points.
-        sigma: Noise, given or estimated from the distances.
-        slides: Newton steps that foot points make before they are held; 0 if they are where they belong.
+        uv: The foot points, shape (n, 2).
+        sigma: The noise, given or estimated from the distances.
+        slides: The number of Newton steps of the foot points before they are held fixed; 0 if they have
+            converged already.
     """
 
     data: Data
@@ -88,14 +92,14 @@ class TangentDistance(AbstractTerm):
 
 
 class FrozenDistance(AbstractFrozen):
-    """Distances to the frames at the foot points.
+    """`TangentDistance` with fixed foot points: distances to the frames at the foot points.
 
     Attributes:
         data: The cloud.
-        uv: Foot points.
-        sigma: Noise.
-        frame: The surface's frames at the foot points.
-        near: Numbers of the points that may lie near an edge.
+        uv: The foot points, shape (n, 2).
+        sigma: The noise.
+        frame: The frames of the surface at the foot points.
+        near: The indices of the points that may lie near an edge, shape (m,).
     """
 
     data: Data
@@ -123,7 +127,7 @@ class FrozenDistance(AbstractFrozen):
         return self.uv[rows], -jnp.concatenate([self.frame.normal, edge]) * root[:, None]
 
     def _decompose(self, surface: AbstractSurface) -> tuple[Array, Array]:
-        """Distances, and edge distances of the near points, in units of σ."""
+        """The normal distances, and the edge distances of the points near an edge, in units of σ."""
         offset = self.data.points - surface.position(self.uv[:, 0], self.uv[:, 1])
         distance = jnp.sum(self.frame.normal * offset, axis=-1)
         conormals, left = self.frame.conormals[self.near], self.frame.left[self.near]

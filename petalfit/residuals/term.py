@@ -1,4 +1,4 @@
-"""Terms of a cost: what one observation has against a surface. A joint fit adds them up."""
+"""Terms of a cost: the misfit of one observation to a surface. A joint fit adds several terms."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Pull(NamedTuple):
 
     Attributes:
         uv: Places on the surface, shape (k, 2).
-        covectors: Shape (k, 3).
+        covectors: A covector at each place, shape (k, 3).
     """
 
     uv: Float[Array, "k 2"]
@@ -25,19 +25,19 @@ class Pull(NamedTuple):
 
 
 class AbstractFrozen(eqx.Module):
-    """A term with foot points held still: a residual as a function of the surface alone."""
+    """A term whose foot points are fixed: its residuals are a function of the surface alone."""
 
     @abc.abstractmethod
     def residual(self, surface: AbstractSurface) -> Float[Array, " m"]:
-        """In units of the noise; half the sum of its squares is the cost."""
+        """The residuals in units of the noise; half the sum of their squares is the cost."""
 
     @abc.abstractmethod
     def slopes(self, surface: AbstractSurface) -> tuple[Float[Array, "m 2"], Float[Array, "m 3"]]:
-        """Places uv and covectors w, one for each residual r: dr = w · dS(uv)."""
+        """A place uv and a covector w for each residual r, such that dr = w · dS(uv)."""
 
 
 class AbstractTerm(eqx.Module):
-    """What one observation has against a surface, with its foot points.
+    """The misfit of one observation to a surface, with its foot points.
 
     Attributes:
         sigma: The noise that the last round used, in the unit of the observation.
@@ -49,13 +49,13 @@ class AbstractTerm(eqx.Module):
     def freeze(
         self, surface: AbstractSurface, free: int
     ) -> tuple[AbstractTerm, AbstractFrozen, Pull | None]:
-        """The term with foot points that follow the surface, what a round holds still, and a pull.
+        """The term with updated foot points, its form with fixed foot points for a round, and a pull.
 
         Args:
-            surface: Where the round begins.
-            free: How many parameters are fitted, for the estimate of the noise.
+            surface: The surface at the beginning of the round.
+            free: The number of fitted parameters, for the estimate of the noise.
         """
 
     def with_noise(self, sigma: float) -> AbstractTerm:
-        """The same with another noise."""
+        """The term with another noise."""
         return eqx.tree_at(lambda term: term.sigma, self, jnp.asarray(sigma, float))

@@ -1,4 +1,4 @@
-"""Cases made by the forward model: their truth is known, so that fits can be judged."""
+"""Synthetic cases made by the forward model: their truth is known, so fits can be compared with it."""
 
 from petalfit.synthetic.case import Case as Case
 from petalfit.synthetic.case import make as make

@@ -1,4 +1,4 @@
-"""One case: a petal, how it was seen, and the cloud that follows from both."""
+"""A synthetic case: a petal, how it was observed, and the cloud that results."""
 
 from __future__ import annotations
 
@@ -14,35 +14,35 @@ from petalfit.observations import PointCloud, Silhouette
 from petalfit.surfaces import sample_uv
 from petalfit.synthetic.sight import Sight
 
-# Coordinates are rounded to this many decimals: the last bits of a surface's points depend on the
-# processor and on jax, and files must not. At 1e-6 the rounding is far below any noise.
+# Coordinates are rounded to this many decimals, because the last bits of a surface's points depend on
+# the processor and on jax, and files must not. At 1e-6 the rounding is far below any noise.
 DECIMALS = 6
-# Strays fill the bounding box of the points, enlarged by this factor.
+# Outliers fill the bounding box of the points, enlarged by this factor.
 _STRAY_BOX = 1.5
 
 
 @dataclasses.dataclass(frozen=True)
 class Case:
-    """What a cloud is made from.
+    """The recipe of a synthetic case.
 
     Attributes:
-        name: Of its folder.
-        about: One line: what is hard about it.
-        model: The truth.
-        points: Number of points, strays included.
-        noise: Standard deviation σ of every coordinate, in the unit of length.
-        seed: Of the points; noise and strays have streams of their own derived from it.
-        keep: (n, offset): only points x of the noise-free surface with n·x > offset are seen; all
-            of them if None.
-        strays: How many of the points, the last ones, are scattered uniformly over one and a half
+        name: The name of the case and of its folder.
+        about: One line on the difficulty of the case.
+        model: The true petal.
+        points: The number of points, outliers included.
+        noise: The standard deviation σ of every coordinate, in the unit of length.
+        seed: The seed of the points; noise and outliers have streams of their own derived from it.
+        keep: (n, offset): only points x of the noise-free surface with n·x > offset are observed; all
+            points if None.
+        strays: The number of outliers. They are the last points, scattered uniformly over one and a half
             times the bounding box instead of lying near the surface.
-        hidden: (u, v): nothing is seen of the part of the petal beyond both; all of it if None.
-        thinning: How many times denser the points lie at the base than at the tip.
-        turn: Rotation of the cloud about the petal's origin: a vector, by its length in rad.
-        shift: Where the origin is then, in the cloud's unit.
-        unit: Length of the petal's unit in the cloud's.
-        suffix: Of the cloud's file; ".npz" holds float32, everything else doubles.
-        sights: Masks; a case of masks alone has no points.
+        hidden: (u, v): the part of the petal beyond both is not observed; None to observe all of it.
+        thinning: The ratio of the density of points at the base to that at the tip.
+        turn: The rotation of the cloud about the petal's origin: a vector, by its length in rad.
+        shift: The place of the petal's origin after that, in the cloud's unit.
+        unit: The length of the petal's unit in the cloud's unit.
+        suffix: The suffix of the cloud's file; ".npz" holds float32, all other formats doubles.
+        sights: The views that masks are made from; a case of masks alone has no points.
     """
 
     name: str
@@ -74,14 +74,13 @@ def make_masks(case: Case) -> list[Silhouette]:
 
 
 def make(case: Case) -> PointCloud:
-    """The cloud of a case: area-uniform points, noise, strays, in this order.
+    """The cloud of a case: points uniform by area, with noise, followed by the outliers.
 
     Args:
         case: The recipe.
 
     Returns:
-        Points without normals, as a scanner gives them, rounded to `DECIMALS`, wherever the case puts
-        them.
+        Points without normals, as a scanner gives them, in the pose of the case, rounded to `DECIMALS`.
     """
     true = case.points - case.strays
     surface = _seen(case, true)
@@ -96,7 +95,7 @@ def make(case: Case) -> PointCloud:
 
 
 def _seen(case: Case, count: int) -> Float64[np.ndarray, "n 3"]:
-    """Noise-free points, as many as wanted, of the part of the surface that is seen."""
+    """`count` noise-free points of the observed part of the surface."""
     drawn = count
     while True:
         points = case.model.sample(drawn, seed=case.seed).points

@@ -1,6 +1,6 @@
-"""Cases as files: a folder each with cloud, masks and truth, and one manifest of them all.
+"""Files of synthetic cases: one folder per case with cloud, masks and truth, and one manifest.
 
-Everything is written so that the same recipe gives the same bytes on every machine.
+The same recipe gives the same bytes on every machine.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ def write_cases(folder: Path, recipes: Iterable[Case] = RECIPES) -> list[Path]:
     """Makes all cases and the manifest.
 
     Args:
-        folder: Gets `cases/<name>/` with the files of `write_case`, and `manifest.json`.
-        recipes: What to make.
+        folder: The folder for `cases/<name>/`, with the files of `write_case`, and `manifest.json`.
+        recipes: The cases to make.
 
     Returns:
-        The files written, the manifest last.
+        The paths of the written files, the manifest last.
     """
     written, entries = [], []
     for case in recipes:
@@ -52,10 +52,11 @@ def write_cases(folder: Path, recipes: Iterable[Case] = RECIPES) -> list[Path]:
 
 
 def write_case(case: Case, cloud: PointCloud | None, folder: Path) -> list[Path]:
-    """Writes one case into a folder that exists, for `read_case`.
+    """Writes one case into an existing folder, for `read_case`.
 
     Returns:
-        `cloud.*`, `mask-1.png` with `camera-1.json` and so on, as far as there are any, `truth.json`.
+        The paths of `cloud.*`, of `mask-1.png` with `camera-1.json` and so on, as far as the case has
+        them, and of `truth.json`.
     """
     files = []
     if cloud is not None:
@@ -75,11 +76,11 @@ def check_cases(folder: Path, recipes: Iterable[Case] = RECIPES) -> list[str]:
     """Compares the files of a folder with its manifest, and with what the recipes make now.
 
     Args:
-        folder: As `write_cases` left it.
-        recipes: What it was made from.
+        folder: The folder that `write_cases` has written.
+        recipes: The cases that it was made from.
 
     Returns:
-        A line for everything that is wrong; empty if nothing is.
+        One line for each difference; empty if there is none.
     """
     manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
     listed = {
@@ -102,7 +103,7 @@ def check_cases(folder: Path, recipes: Iterable[Case] = RECIPES) -> list[str]:
 
 
 def read_case(folder: Path) -> tuple[Case, list[PointCloud | Silhouette]]:
-    """One case from its folder: what it was made from, and its targets, the cloud first."""
+    """Reads a case from its folder: the recipe, and its targets, the cloud first."""
     truth = json.loads((folder / TRUTH).read_text(encoding="utf-8"))
     truth["model"] = PeonyPetal(**truth.pop("parameters"))
     if truth["keep"] is not None:
@@ -122,13 +123,13 @@ def read_case(folder: Path) -> tuple[Case, list[PointCloud | Silhouette]]:
 
 
 def _sight(fields: dict[str, Any]) -> Sight:
-    """A sight from its JSON, in which tuples are lists."""
+    """A sight from its JSON, in which lists stand for tuples."""
     tuples: dict[str, Any] = {name: tuple(x) for name, x in fields.items() if isinstance(x, list)}
     return Sight(**fields | tuples)
 
 
 def _truth(case: Case) -> dict[str, object]:
-    """A case as JSON: its fields, and the parameters by name."""
+    """A case as JSON: its fields, and the parameters of its model by name."""
     truth = {field.name: getattr(case, field.name) for field in dataclasses.fields(case)}
     truth["model"] = type(case.model).__name__
     truth["parameters"] = {name: float(value) for name, value in vars(case.model).items()}
@@ -148,7 +149,7 @@ def _write_cloud(cloud: PointCloud, path: Path) -> None:
     if path.suffix != ".npz":
         cloud.save(path)
         return
-    # By hand: NumPy's archive tells the operating system, and its compression the zlib version.
+    # Written by hand: NumPy's archive depends on the operating system, its compression on zlib's version.
     array = io.BytesIO()
     np.lib.format.write_array(array, cloud.points.astype("<f4"), version=(1, 0))
     member = zipfile.ZipInfo("points.npy", date_time=(1980, 1, 1, 0, 0, 0))

@@ -1,4 +1,4 @@
-"""Petals nobody chose."""
+"""Petals with random parameters."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import numpy as np
 
 from petalfit.components import PeonyPetal
 
-# In the order in which they are drawn. c_z and midrib_sharpness stay near the paper's values: the
-# first is an offset, the second is not fitted.
+# The ranges, in the order in which parameters are drawn. c_z and midrib_sharpness stay near the paper's
+# values: the first is an offset, the second is not fitted.
 RANGES: dict[str, tuple[float, float]] = {
     "a_x": (10.0, 24.0),
     "b_y": (16.0, 40.0),
@@ -27,7 +27,7 @@ def random_petal(rng: np.random.Generator) -> PeonyPetal:
     """A peony petal with parameters drawn uniformly from `RANGES`.
 
     Args:
-        rng: Its state decides; the same state gives the same petal.
+        rng: The random generator; the same state gives the same petal.
 
     Returns:
         A petal whose parameters have four decimals, so that printing them loses nothing.

@@ -1,4 +1,4 @@
-"""The cases that are committed: small, and each with one difficulty."""
+"""The synthetic cases of the repository: small ones, each with one difficulty."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Masks of a petal as a camera would give them, or a careless pair of scissors."""
+"""Synthetic masks of a petal: exact ones of a camera, or ones with a noisy edge."""
 
 from __future__ import annotations
 
@@ -11,22 +11,23 @@ import numpy as np
 from petalfit.observations import Camera, Silhouette
 from petalfit.surfaces import AbstractSurface, coverage, outline_rings
 
-_FINER = 4  # times the resolution on which distances from the edge are measured
-# Rotations and places are rounded: their last bits depend on the processor, and files must not.
+_FINER = 4  # distances from the edge are measured at this multiple of the resolution
+# Rotations and places are rounded, because their last bits depend on the processor and files must not.
 _DECIMALS = 7
 
 
 @dataclasses.dataclass(frozen=True)
 class Sight:
-    """An orthographic view of a petal.
+    """An orthographic view of a petal, and the kind of mask that is made from it.
 
     Attributes:
-        eye: Direction to the camera from the place that it looks at.
-        target: What it looks at, in the petal's frame.
-        pixels_per_unit: Scale of the image.
-        shape: Rows and columns of the image.
-        kind: "binary" or "coverage".
-        edge: Standard deviation of the mask's edge, in pixels, smooth along it; 0 for none.
+        eye: The direction from the target to the camera.
+        target: The place that the camera looks at, in the petal's frame.
+        pixels_per_unit: The number of pixels per unit of length.
+        shape: The numbers of rows and columns of the image.
+        kind: The kind of mask, "binary" or "coverage".
+        edge: The standard deviation, in pixels, by which the mask's edge is displaced, smoothly along it;
+            0 for an exact edge.
     """
 
     eye: tuple[float, float, float]
@@ -37,7 +38,7 @@ class Sight:
     edge: float = 0.0
 
     def camera_json(self) -> dict[str, Any]:
-        """Arguments of `Camera.orthographic`, rounded."""
+        """The arguments of `Camera.orthographic`, rounded."""
         place = np.add(self.eye, self.target)
         camera = Camera.look_at(
             place, self.target, self.shape, pixels_per_unit=self.pixels_per_unit
@@ -50,7 +51,7 @@ class Sight:
         }
 
     def mask(self, surface: AbstractSurface, seed: int) -> Silhouette:
-        """What is seen of a surface; the seed is that of the edge's noise."""
+        """The mask of a surface; `seed` is the seed of the noise of its edge."""
         camera = Camera.from_json(self.camera_json())
         rings = outline_rings(surface, camera)
         seen = coverage(rings, self.shape)
@@ -60,14 +61,14 @@ class Sight:
 
 
 def _rounded(numbers: np.ndarray) -> list[Any]:
-    """As lists; zeros without the sign that rounding leaves them."""
+    """Rounded numbers as lists; adding 0 removes the sign of negative zeros."""
     return (np.round(numbers, _DECIMALS) + 0.0).tolist()
 
 
 def _displaced(
     rings: list[np.ndarray], shape: tuple[int, int], sigma: float, seed: int
 ) -> np.ndarray:
-    """The mask whose edge is displaced along its normal by a smooth random field, its largest piece."""
+    """A mask whose edge a smooth random field displaces along its normal; only its largest piece."""
     from scipy import ndimage
 
     fine = (
@@ -80,7 +81,7 @@ def _displaced(
     distance = distance.mean(axis=(1, 3)) / _FINER
     width = 3.0
     field = ndimage.gaussian_filter(np.random.default_rng(seed).standard_normal(shape), width)
-    # Smoothing leaves 1/(2 √π width) of white noise's standard deviation.
+    # Smoothing reduces the standard deviation of white noise to 1/(2 √π width).
     mask = distance + sigma * 2 * math.sqrt(math.pi) * width * field > 0
     labels = np.empty(shape, np.int32)
     ndimage.label(mask, output=labels)

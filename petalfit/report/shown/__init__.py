@@ -1,4 +1,4 @@
-"""How a report shows each kind of observation beside the fit."""
+"""The parts of a report that depend on the kind of observation."""
 
 from petalfit.report.shown.protocol import AbstractShown as AbstractShown
 from petalfit.report.shown.registry import in_scene as in_scene

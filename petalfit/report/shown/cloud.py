@@ -1,4 +1,4 @@
-"""Point clouds in a report: a map of signed distances on the surface."""
+"""Point clouds in a report, shown by a map of signed distances on the surface."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from petalfit.report.shown.protocol import AbstractShown, histogram, in_noise
 from petalfit.report.swatch import ignored
 from petalfit.results import Agreement, FitRecord
 
-_MAP = 680  # pixels, of which a page's pixel has two
+_MAP = 680  # width in pixels; a pixel of the page has two of them
 
 
 class ShownCloud(AbstractShown):
-    """A cloud: points in space, coloured by their distance."""
+    """A cloud in a report: points in space, coloured by their distance."""
 
     in_scene: ClassVar[bool] = True
 

@@ -1,4 +1,4 @@
-"""Silhouettes in a report: the mask with its contour, and the outline of the fit."""
+"""Silhouettes in a report, shown by the mask with its contour and the outline of the fit."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from petalfit.results import Agreement, FitRecord
 
 
 class ShownMask(AbstractShown):
-    """A silhouette: its image, in pixels."""
+    """A silhouette in a report: its image, with distances in pixels."""
 
     in_scene: ClassVar[bool] = False
 

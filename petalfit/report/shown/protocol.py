@@ -1,4 +1,4 @@
-"""The protocol of a kind of observation in a report."""
+"""The interface by which a report shows a kind of observation."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from petalfit.results import Agreement, FitRecord
 
 
 class AbstractShown(abc.ABC):
-    """How observations of one kind are shown.
+    """The presentation of observations of one kind in a report.
 
     Attributes:
-        in_scene: Whether they have points, which are drawn in space with the surface.
+        in_scene: Whether the observations have points that are drawn in space with the surface.
     """
 
     in_scene: ClassVar[bool]
 
     @abc.abstractmethod
     def sentence(self, part: Agreement) -> str:
-        """A sentence on how the observation and the fit agree."""
+        """A sentence on how well the observation and the fit agree."""
 
     @abc.abstractmethod
     def facts(self, part: Agreement) -> dict[str, str]:
-        """The same as numbers, by their names."""
+        """The agreement as numbers, by name."""
 
     @abc.abstractmethod
     def distances(self, result: FitRecord, part: Agreement, scene: Scene | None) -> str:
@@ -38,32 +38,32 @@ class AbstractShown(abc.ABC):
 
         Args:
             result: The fit.
-            part: The observation beside the surface.
-            scene: The surface with the points of the observation, if it has any.
+            part: The agreement of the observation with the surface.
+            scene: The surface with the points of the observation, if it has points.
         """
 
     def named(self, part: Agreement) -> str:
-        """The data that counted, in words."""
+        """A phrase for the data that counted in the fit."""
         return part.target.described
 
     def whole(self, part: Agreement) -> str:
-        """The data that were given, in words."""
+        """A phrase for all data that were given."""
         return self.named(part)
 
     def camera(self, part: Agreement) -> Camera | None:
-        """The camera that took it, if one did."""
+        """The camera of the observation, or None."""
         del part
         return None
 
 
 def in_noise(part: Agreement) -> str:
-    """The root mean square distance in units of the noise, behind a comma; empty if that says nothing."""
+    """The rms distance in units of the noise, after a comma; empty if that is not informative."""
     of_noise = part.rms / part.noise if part.noise > 0 else math.nan
     return f", {of_noise:.2f} σ" if math.isfinite(of_noise) and of_noise < 1e4 else ""
 
 
 def histogram(part: Agreement) -> str:
-    """Distances in units of the noise, with the Gaussian that noise alone would give."""
+    """The histogram of distances in units of the noise, with the Gaussian that noise alone would give."""
     usable = part.used & np.isfinite(part.distances)
     if not (part.noise > 0 and math.isfinite(part.noise) and usable.any()):
         return "<p>There is no histogram: the noise is not a positive number.</p>"

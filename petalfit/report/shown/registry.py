@@ -1,4 +1,4 @@
-"""All kinds of observation that a report can show."""
+"""The registry of the kinds of observation that a report can show."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ SHOWN: dict[str, AbstractShown] = {
 
 
 def shown(part: Agreement) -> AbstractShown:
-    """How an observation is shown.
+    """The presentation of an observation, by its kind.
 
     Raises:
-        TypeError: Its kind has no place in a report.
+        TypeError: A report cannot show this kind.
     """
     kind = part.target.kind
     if kind not in SHOWN:
