@@ -1,4 +1,4 @@
-"""The tasks of a batch on a cluster of dask.distributed."""
+"""Running the tasks of a batch on a cluster of dask.distributed."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ _CONNECT = "20s"
 
 @contextmanager
 def connected(scheduler: str, workers: int | None) -> Iterator[Client]:
-    """A client of the scheduler at an address, or of a cluster of this machine's own.
+    """Yields a client of the scheduler at an address, or of a local cluster on this machine.
 
     Raises:
-        TargetError: dask.distributed is not installed, or nobody answers at the address.
+        TargetError: dask.distributed is not installed, or no scheduler answers at the address.
     """
     try:
         import distributed
@@ -58,10 +58,10 @@ def connected(scheduler: str, workers: int | None) -> Iterator[Client]:
 def as_finished(
     client: Client, function: Callable[[Job], Outcome], jobs: Sequence[Job]
 ) -> Iterator[tuple[Job, Outcome | Crash]]:
-    """Each job with what a function makes of it, as they come.
+    """Yields each job with the function's outcome, in the order in which jobs finish.
 
-    The cluster tries a job again elsewhere when a worker dies under it; one that kills four workers is
-    a `Crash`.
+    If a worker dies, the cluster repeats its job on another one; a job that kills four workers is a
+    `Crash`.
     """
     import distributed
 

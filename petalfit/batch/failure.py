@@ -1,4 +1,4 @@
-"""What a batch has in the place of a result."""
+"""Failures, which replace the results of targets that cannot be fitted."""
 
 from __future__ import annotations
 
@@ -11,12 +11,14 @@ from petalfit.results import Status
 
 @dataclasses.dataclass(frozen=True)
 class FitFailure:
-    """A target of a batch that has no result. It says so under the names that a `FitResult` has too.
+    """The failure of one target of a batch, in place of its `FitResult`.
+
+    Its attributes exist under the same names in a `FitResult`.
 
     Attributes:
-        status: UNUSABLE, ERROR or CRASHED; `status.meaning` says it in a sentence.
-        message: What was wrong, in words.
-        converged: False.
+        status: UNUSABLE, ERROR or CRASHED; `status.meaning` explains it in a sentence.
+        message: The reason, in words.
+        converged: Always False.
     """
 
     status: Status
@@ -25,7 +27,7 @@ class FitFailure:
 
     @classmethod
     def of(cls, error: Exception) -> FitFailure:
-        """Of what a fit raised."""
+        """The failure for an exception that a fit has raised."""
         if isinstance(error, TargetError):
             return cls(Status.UNUSABLE, str(error))
         return cls(Status.ERROR, f"{type(error).__name__}: {error}")

@@ -1,4 +1,4 @@
-"""A batch of files: what is missing or changed is fitted, and the table has a row for each target."""
+"""A batch of files: missing or changed targets are fitted, and the table has a row for each target."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ FITS = "fits"
 
 
 class Shard(NamedTuple):
-    """Every `of`-th target from the `number`-th on; numbers begin with 1."""
+    """A share of the targets: every `of`-th target, beginning with the `number`-th (from 1)."""
 
     number: int
     of: int
 
 
 class Progress(NamedTuple):
-    """How far a batch is.
+    """The progress of a batch.
 
     Attributes:
-        done: Targets with a record, those of earlier runs included.
-        total: Targets of this run's share.
-        failed: How many of those done have not converged.
-        last: What happened last, in words; of an earlier run if nothing did.
+        done: The number of targets with a record, including those of earlier runs.
+        total: The number of targets in this run's share.
+        failed: The number of targets with a record that have not converged.
+        last: The last event, in words; at the beginning, the number of targets from an earlier run.
     """
 
     done: int
@@ -46,12 +46,12 @@ class Progress(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What a run of a batch ends with.
+    """The outcome of a run of a batch.
 
     Attributes:
-        records: Of this share's targets, in their order.
-        fitted: How many were fitted by this run.
-        missing: Targets of the whole batch that have no record yet.
+        records: The records of this share's targets, in the order of the targets.
+        fitted: The number of targets that this run has fitted.
+        missing: The number of targets of the whole batch that have no record yet.
     """
 
     records: list[dict[str, Any]]
@@ -68,20 +68,20 @@ def run_batch(
     shard: Shard = Shard(1, 1),  # noqa: B008
     progress: Callable[[Progress], None] = lambda _: None,
 ) -> Outcome:
-    """Fit what has no record yet in the output's folder, and write the table.
+    """Fit all targets that have no record yet in the output folder, and write the table.
 
-    A target's files, `fit.json` and `record.json`, are written by the process that fits it as soon as
-    it is fitted. Whatever ends the run, they stay, the next run goes on from there, and the table
-    has what there is.
+    The process that fits a target writes its files, `fit.json` and `record.json`, as soon as the fit has
+    ended. However the run ends, these files stay, the table contains them, and the next run continues
+    from there.
 
     Args:
-        items: Of the whole batch.
-        out: Folder of the results, made if need be.
-        workers: Processes on this machine; by default one for each core.
-        scheduler: Address of a Dask scheduler, whose workers see the same files under the same names; or
-            "local" for one of this machine's own; by default none.
-        shard: The part of the items that is this run's to fit.
-        progress: Called after each target.
+        items: The targets of the whole batch.
+        out: The folder of the results, created if necessary.
+        workers: The number of processes on this machine; by default one for each core.
+        scheduler: The address of a Dask scheduler, whose workers see the same files under the same names,
+            or "local" for a local cluster on this machine; by default no cluster is used.
+        shard: The share of the items that this run fits.
+        progress: A function that is called at the beginning and after each target.
 
     Raises:
         TargetError: The output cannot be written, its disk is full, or the scheduler does not answer.
@@ -112,7 +112,7 @@ def run_batch(
                 )
     finally:
         with undisturbed():
-            # Ends the processes first: what they finish till then is in the table.
+            # The processes end first, so that the table contains everything they have finished.
             performed.close()
             missing = _write_whole(tasks, out)
     records = [known[task.item.id] for task in mine]
@@ -122,7 +122,7 @@ def run_batch(
 def _performed(
     todo: Sequence[Task], workers: int | None, scheduler: str | None
 ) -> Generator[tuple[Task, dict[str, Any] | Crash]]:
-    """Every task with its record, as they come."""
+    """Yields every task with its record, in the order in which they finish."""
     if not todo:
         return
     if scheduler is None:
@@ -138,9 +138,9 @@ def _crashed(task: Task) -> dict[str, Any]:
 
 
 def _write_whole(tasks: Sequence[Task], out: Path) -> int:
-    """The table of all records that there are, and how many are missing.
+    """Writes the table of all existing records, and returns how many are missing.
 
-    Another shard may be doing the same: whoever comes last has seen them all.
+    Other shards may do the same at the same time; the last one to finish sees all records.
     """
     written = -1
     while True:

@@ -1,4 +1,4 @@
-"""Cleaning up undisturbed."""
+"""Protection of clean-up work against Ctrl-C."""
 
 import signal
 import threading
@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """While the block runs, Ctrl-C is not heard: what ends a batch must end itself."""
+    """Ignores Ctrl-C while a block runs, so that the end of a batch is not interrupted itself."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -1,4 +1,4 @@
-"""What a batch of files consists of: every file of a folder, or every row of a manifest."""
+"""The items of a batch: all files of a folder, or all rows of a manifest."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from petalfit.observations import (
 )
 from petalfit.version import VERSION
 
-# Columns of a manifest beside the target's, each of which may be empty.
+# The optional columns of a manifest, whose cells may be empty.
 COLUMNS = ("id", "camera", "model", "pose", "loss", "noise", "free", "seed")
-# Several files in one cell are fitted together.
+# The separator between several files in one cell, which are fitted together.
 BETWEEN = ";"
 
 
@@ -31,10 +31,10 @@ class Item(NamedTuple):
     """A target of a batch.
 
     Attributes:
-        id: Names it in the table and its folder below the output: a relative path.
-        targets: Files that are fitted together.
-        cameras: Of the masks among them, in their order; may be none.
-        options: Of the fit, as text and numbers: model, pose, loss, noise, free, seed.
+        id: A relative path: the name of the target in the table, and of its folder in the output.
+        targets: The paths of the files that are fitted together.
+        cameras: The paths of the camera files of the masks, in the order of the masks; may be empty.
+        options: The options of the fit, as text and numbers: model, pose, loss, noise, free, seed.
     """
 
     id: str
@@ -43,7 +43,7 @@ class Item(NamedTuple):
     options: Mapping[str, Any]
 
     def digest(self) -> str:
-        """Changes with the content of the files, the options, and the version of petalfit.
+        """A digest of the content of the files, the options, and the version of petalfit.
 
         Raises:
             TargetError: A file cannot be read.
@@ -59,13 +59,13 @@ class Item(NamedTuple):
         return whole.hexdigest()
 
     def read(self) -> list[AbstractObservation]:
-        """What was seen."""
+        """Reads the observations from the files."""
         masks = [path for path in self.targets if path.suffix.lower() in IMAGE_SUFFIXES]
         cameras = dict(zip(masks, map(_camera, self.cameras), strict=False))
         return [read_target(path, cameras.get(path)) for path in self.targets]
 
     def arguments(self) -> dict[str, Any]:
-        """The options as `fit` takes them."""
+        """The options as keyword arguments of `fit`."""
         name = self.options["model"]
         return {**self.options, "model": "auto" if name == "auto" else model_named(name)}
 
@@ -78,15 +78,15 @@ def _camera(path: Path) -> Camera:
 
 
 def items_of(source: Path, options: Mapping[str, Any]) -> list[Item]:
-    """The targets of a folder, its folders included, or of a manifest.
+    """The targets of a folder and its subfolders, or of a manifest.
 
     Args:
         source: A folder, or a CSV file with a column "target" and any of `COLUMNS`; paths in it are
-            relative to its own folder.
-        options: Of every fit, unless a manifest has others.
+            relative to the folder of the CSV file.
+        options: The options of every fit, which a manifest may override for its rows.
 
     Raises:
-        TargetError: There is nothing to fit, or a manifest that cannot be followed.
+        TargetError: There is nothing to fit, or the manifest is invalid.
     """
     if source.is_dir():
         known = (*SUFFIXES, *IMAGE_SUFFIXES)
@@ -139,7 +139,7 @@ def _items_of_manifest(manifest: Path, options: Mapping[str, Any]) -> list[Item]
 
 
 def _item(cells: Mapping[str, str], folder: Path, options: Mapping[str, Any]) -> Item:
-    """A row."""
+    """The item of a row of a manifest, from its cells that are not empty."""
     if "target" not in cells:
         raise TargetError("there is no target in this row.")
     targets = _paths(cells["target"], folder)

@@ -1,4 +1,4 @@
-"""Many targets in memory, a result for each."""
+"""Fits of many targets in memory, with a result for each."""
 
 from __future__ import annotations
 
@@ -45,16 +45,17 @@ def fit_batch(  # pyright: ignore[reportInconsistentOverload]
 ) -> list[FitResult | FitFailure] | Iterator[FitResult | FitFailure]:
     """Fit many targets, each by itself, on all cores of this machine.
 
-    Processes are started when they are needed and stay warm for the next batch. Compiled programs are
-    shared between them, in the store in use or in the user's cache. If jax has a GPU, the targets
-    are fitted there, one after the other.
+    Processes are started when they are needed and are kept for the next batch. They share compiled
+    programs, in the store in use or in the user's cache. If jax has a GPU, the targets are fitted there,
+    one after the other.
 
     Args:
-        targets: As of `fit`: clouds, meshes, masks, paths, or lists of these that belong together. A list
-            gives a list. An iterator, a generator for instance, gives an iterator: targets are taken
-            a few at a time, and memory does not grow with their number.
-        model: A component, of which a petal is the default; for all targets, like the following
-            options of `fit`.
+        targets: The targets, each as in `fit`: a cloud, mesh, mask or path, or a list of these that
+            belong together. A list of targets gives a list of results. An iterator, for instance a
+            generator, gives an iterator: targets are taken a few at a time, so memory does not grow with
+            their number.
+        model: The component to fit, by default a petal. This and the following options of `fit` apply to
+            all targets.
         pose: See `fit`.
         camera: See `fit`.
         free: See `fit`.
@@ -62,15 +63,17 @@ def fit_batch(  # pyright: ignore[reportInconsistentOverload]
         noise: See `fit`.
         loss: See `fit`.
         seed: See `fit`.
-        workers: How many processes; by default one for each core. With 1, this one.
-        progress: Called with a line of text after each target.
+        workers: The number of processes; by default one for each core. With 1, the targets are fitted in
+            this process.
+        progress: A function that is called with a line of text after each target.
 
     Returns:
-        For each target, in their order, a `FitResult`, which may not have converged; or a `FitFailure`
-        with the reason why there is none. Both have `converged`, `status` and `message`.
+        One outcome per target, in the order of the targets. It is a `FitResult`, which may not have
+        converged, or a `FitFailure` with the reason why there is no result. Both have `converged`,
+        `status` and `message`.
 
     Raises:
-        TargetError: The options cannot be used for any target, or `targets` is a single one.
+        TargetError: The options cannot be used for any target, or `targets` is a single target.
     """
     if (
         isinstance(targets, str | os.PathLike | AbstractObservation)
@@ -80,7 +83,7 @@ def fit_batch(  # pyright: ignore[reportInconsistentOverload]
         raise TargetError("fit_batch takes many targets; give a list of them, or call fit_petal.")
     if workers is not None and workers < 1:
         raise TargetError(f"workers={workers} can fit nothing; give 1 or more.")
-    # All that several fits may read more than once; a single name is one.
+    # A tuple, because several fits read it and an iterator could be read only once; text is one name.
     names = free if free is None or isinstance(free, str) else tuple(free)
     request = {"pose": pose, "loss": loss, "free": names, "init": init, "noise": noise}
     check_request(model, **request)
@@ -118,7 +121,7 @@ def _outcomes(
 
 
 class _Job(NamedTuple):
-    """A target, how it is fitted, and where compiled programs are."""
+    """A target, the options of its fit, and the folder of compiled programs."""
 
     target: object
     options: dict[str, Any]
@@ -126,7 +129,7 @@ class _Job(NamedTuple):
 
 
 def _fit_one(job: _Job) -> FitResult | FitFailure:
-    """A fit that raises nothing, in whatever process."""
+    """Fits one target, in any process, and returns a failure instead of raising an exception."""
     try:
         with use_folder(job.folder):
             return fit(target=job.target, throw=False, **job.options)

@@ -1,4 +1,4 @@
-"""A function over many jobs in processes of this machine, in order, whatever happens to one of them."""
+"""Parallel evaluation of a function over many jobs, in order, in processes that may crash."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from petalfit.batch.interrupt import undisturbed
 Job = TypeVar("Job")
 Outcome = TypeVar("Outcome")
 
-# Jobs that are read ahead, for each worker: all have something to do while the first is slow.
+# The number of jobs read ahead per worker, so that all have work while the first job is slow.
 _AHEAD = 8
-# Between batches the workers stay, warm, for so many seconds.
+# The number of seconds for which idle workers are kept between batches.
 _PATIENCE = 60
 
 
 class Crash(NamedTuple):
-    """In the place of an outcome: whatever process worked on this job died."""
+    """The outcome of a job whose process has died."""
 
 
 def cores() -> int:
-    """How many processes can run at once here, limits of containers and affinities considered."""
+    """The number of processes that can run at once, given the limits of containers and affinities."""
     return loky.cpu_count()
 
 
 def environment() -> dict[str, str]:
-    """Of a process that computes: one thread, because there is a process for every core."""
+    """The environment of a worker process: one thread, because there is a process for every core."""
     threads = ("NPROC", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
     return {**dict.fromkeys(threads, "1"), "JAX_PLATFORMS": "cpu"}
 
@@ -42,20 +42,20 @@ def environment() -> dict[str, str]:
 def in_order(
     function: Callable[[Job], Outcome], jobs: Iterable[Job], workers: int
 ) -> Iterator[Outcome | Crash]:
-    """What a function makes of each job, in the order of the jobs.
+    """Yields the outcome of a function for each job, in the order of the jobs.
 
     Jobs are taken from the iterable a few at a time. If a process dies, by a signal or because memory
-    ran out, the jobs that it may have died of are tried once more, each in a process of its own. The
-    function and its results may be defined in a script or a notebook. When the iteration ends early
-    the processes are killed.
+    ran out, the jobs that may have caused it are tried once more, each in a process of its own. The
+    function and its results may be defined in a script or a notebook. If the iteration ends early, the
+    processes are killed.
 
     Args:
-        function: Called in another process. What it raises is raised here.
-        jobs: Any iterable.
-        workers: How many processes.
+        function: The function, which is called in another process. Its exceptions are raised here.
+        jobs: The jobs, as any iterable.
+        workers: The number of processes.
     """
     jobs = iter(jobs)
-    # A suspect has no future: it will be tried alone.
+    # A suspect, a job that may have killed a process, has no future: it will be tried alone.
     waiting: deque[tuple[Job, Future | None]] = deque()
     ended = False
     try:
@@ -69,7 +69,7 @@ def in_order(
             try:
                 outcome = _alone(function, job) if future is None else future.result()
             except BrokenProcessPool:
-                # They began in this order: the next ones were being worked on too.
+                # Jobs begin in this order, so the next ones were running too and are suspects.
                 suspects = workers - 1
                 for k, (other, its) in enumerate(waiting):
                     if its is not None and its.done() and its.exception() is not None:
@@ -93,7 +93,7 @@ def _executor(workers: int) -> Any:
 def _submit(function: Callable[[Job], Outcome], job: Job, workers: int) -> Future:
     try:
         return _executor(workers).submit(function, job)
-    except BrokenProcessPool:  # only just
+    except BrokenProcessPool:  # it broke just now; the next executor is a new one
         return _executor(workers).submit(function, job)
 
 
@@ -108,8 +108,8 @@ def _alone(function: Callable[[Job], Outcome], job: Job) -> Outcome | Crash:
 
 
 def _begin() -> None:
-    """In a new process."""
-    # Ctrl-C is for the process that waits for this one.
+    """Prepares a new process."""
+    # The process that waits for this one handles Ctrl-C.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # Nearly all that imports and tracing make stays.
+    # Nearly all objects that imports and tracing create stay alive, so collecting is wasted time.
     gc.set_threshold(200_000, *gc.get_threshold()[1:])

@@ -1,4 +1,4 @@
-"""What a batch keeps of each target: a record in a folder of its own, written when it is fitted."""
+"""Records of a batch: one for each target, in the target's folder, written when it has been fitted."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from petalfit.version import VERSION
 
 FIT = "fit.json"
 RECORD = "record.json"
-# What may go better another time, and is tried again: nothing of it is the target's fault.
+# Statuses that are not the target's fault and may change, so that the target is tried again.
 PASSING = (Status.ERROR, Status.CRASHED, Status.NOT_WRITTEN)
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 class Task(NamedTuple):
-    """A target to fit in whatever process, and where its files go.
+    """A target to fit, in any process, and the folder of its files.
 
     Attributes:
         item: The target.
-        folder: Its own, made if need be.
+        folder: The target's own folder, created if necessary.
         programs: The folder of compiled programs, or None.
     """
 
@@ -43,19 +43,19 @@ class Task(NamedTuple):
 
 
 def finished(task: Task) -> dict[str, Any] | None:
-    """The record of an item, if there is one, of the same files and options, and of nothing passing."""
+    """The record of an item if it is still valid: same files and options, and no `PASSING` status."""
     record = read_record(task.folder)
     if record is None or record["status"] in PASSING:
         return None
     try:
         digest = task.item.digest()
-    except TargetError:  # a file that is missing, as it was before
+    except TargetError:  # a file is missing, and its earlier record has an empty digest too
         digest = ""
     return record if record["input_hash"] == digest else None
 
 
 def read_record(folder: Path) -> dict[str, Any] | None:
-    """The record in a folder, if there is one."""
+    """The record in a folder, or None."""
     try:
         record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -64,10 +64,10 @@ def read_record(folder: Path) -> dict[str, Any] | None:
 
 
 def perform(task: Task) -> dict[str, Any]:
-    """Fit a target, and write `fit.json` and the record of it; raises nothing.
+    """Fit a target, and write `fit.json` and its record; raises no exceptions.
 
     Returns:
-        The record. Its status is "not_written" if it could not be written.
+        The record, with the status "not_written" if it could not be written.
     """
     began, digest, result = time.perf_counter(), "", None
     try:
@@ -82,7 +82,7 @@ def perform(task: Task) -> dict[str, Any]:
 
 
 def keep(task: Task, result: FitResult | FitFailure, digest: str, seconds: float) -> dict[str, Any]:
-    """Write what became of a target. Its fit first: a record says that everything is there."""
+    """Write the outcome of a target, the fit first: a record implies that all files are complete."""
     record = _record(task.item, result, digest, seconds)
     try:
         task.folder.mkdir(parents=True, exist_ok=True)

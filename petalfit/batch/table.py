@@ -1,4 +1,4 @@
-"""The table of a batch: a row a target, as Parquet."""
+"""The table of a batch as Parquet, with one row per target."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _NUMBERS = ("seconds", "rms", "noise", "scale")
 
 
 def check_pyarrow() -> None:
-    """Finds out before thousands of fits whether their table can be written."""
+    """Checks, before thousands of fits, that their table can be written: pyarrow is installed."""
     try:
         import pyarrow  # noqa: F401
     except ImportError:
@@ -31,14 +31,14 @@ def check_pyarrow() -> None:
 
 
 def write_table(records: Sequence[dict[str, Any]], path: Path) -> None:
-    """Write a row for each record. Whole or not at all.
+    """Write a table with one row per record, completely or not at all.
 
-    Columns are, of every target: id, target, status, converged, message, model, pose, loss, seconds,
+    Columns of every target are id, target, status, converged, message, model, pose, loss, seconds,
     version, input_hash, finished (UTC), warnings (their sentences), warning_kinds (their kinds), data
-    (points, or places of a contour), outliers, rms,
-    noise, scale, rotation (nine numbers, row by row), translation (three). Then three of each
-    parameter of each model: its name for the value, and with `_stderr` (null where the data cannot
-    tell) and `_identifiable`. What a target does not have is null.
+    (the number of points, or of places of a contour), outliers, rms, noise, scale, rotation (nine
+    numbers, row by row) and translation (three). Each parameter of each model has three more columns:
+    its name for the value, and its name with `_stderr` (null where the data do not determine it) and
+    with `_identifiable`. Values that a target does not have are null.
     """
     import pyarrow.parquet
 
@@ -48,7 +48,7 @@ def write_table(records: Sequence[dict[str, Any]], path: Path) -> None:
 
 
 def as_table(records: Sequence[dict[str, Any]]) -> pyarrow.Table:
-    """See `write_table`."""
+    """The records as a table; see `write_table` for its columns."""
     import pyarrow as pa
 
     def column(name: str, kind: pyarrow.DataType) -> pyarrow.Array:
@@ -74,14 +74,14 @@ def as_table(records: Sequence[dict[str, Any]]) -> pyarrow.Table:
 
 
 def _each(warnings: Sequence[dict[str, Any]] | None, part: str) -> list[str] | None:
-    """One part of every warning of a record; None of a record without any list of them."""
+    """One part of every warning of a record; None for a record without a list of warnings."""
     return None if warnings is None else [warning[part] for warning in warnings]
 
 
 def _parameter_names(records: Sequence[dict[str, Any]]) -> list[str]:
-    """In the order in which the models declare them; what only an image has comes last."""
+    """The parameters' names in the order of declaration; those that only images have come last."""
     used = dict.fromkeys(record["model"] for record in records if "values" in record)
     declared = [name for model in used for name in parameters(models()[model])]
     found = [name for record in records for name in record.get("values", ())]
-    # A pose's scale has a column in any case; a parameter of that name would be another one.
+    # The pose's scale has a column already, which a parameter of that name must not replace.
     return [*dict.fromkeys(name for name in (*declared, *found) if name not in _NUMBERS)]

@@ -1,7 +1,7 @@
-"""The command line: `petalfit demo`, `fit`, `batch` and so on; one file a command.
+"""The command line: `petalfit demo`, `fit`, `batch` and so on, with one file per command.
 
-Modules here import jax, scipy, trimesh and the rest of petalfit only inside functions: what
-`petalfit --help` costs is tyro.
+Modules here import jax, scipy, trimesh and the rest of petalfit only inside functions, so that
+`petalfit --help` takes only the time of importing tyro.
 """
 
 import atexit
@@ -25,7 +25,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command.
 
     Args:
-        argv: the arguments, without the program's name; by default those of the process.
+        argv: The arguments without the program's name; by default those of the process.
 
     Returns:
         The exit status: 0 for success, 2 for unusable input or options, 3 for a fit that did not
@@ -40,7 +40,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return status
     except KeyboardInterrupt:
         return _complain("interrupted; nothing was written", INTERRUPTED)
-    except BrokenPipeError:  # `petalfit parameters | head`: nobody reads on
+    except BrokenPipeError:  # the reader has closed the pipe, as in `petalfit parameters | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return BROKEN_PIPE
     except CommandError as error:
@@ -49,13 +49,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         if not _is_about_the_input(error):
             raise
         return _complain(str(error), UNUSABLE)
-    except SystemExit as error:  # tyro's, after --help or an option that it does not understand
+    except SystemExit as error:  # tyro raises it after --help or an invalid option
         return error.code if isinstance(error.code, int) else int(error.code is not None)
 
 
 def _expect_a_short_life() -> None:
-    """Spares the garbage collector most of its work: a tenth of the time of a fit."""
-    # Nearly all that imports and tracing make is in use until the end, where memory is not missed.
+    """Saves most of the garbage collector's work, which is a tenth of the time of a fit."""
+    # Nearly all objects that imports and tracing create are in use until the end of the process.
     gc.set_threshold(200_000, *gc.get_threshold()[1:])
     atexit.register(gc.freeze)
 
@@ -94,7 +94,7 @@ def _run(arguments: list[str]) -> int:
 
 
 def _is_about_the_input(error: ValueError) -> bool:
-    # Here, because this module is imported for --help too.
+    # Imported here, because --help imports this module too.
     from petalfit.observations import TargetError
 
     return isinstance(error, TargetError)

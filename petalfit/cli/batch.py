@@ -1,4 +1,4 @@
-"""`petalfit batch`: thousands of files into one table."""
+"""`petalfit batch`: fits of thousands of files, with one table of the results."""
 
 import re
 import time
@@ -20,22 +20,22 @@ Source = Annotated[
     Positional[Path],
     arg(
         metavar="DIR|MANIFEST",
-        help="Folder whose clouds, meshes and masks are fitted, those of folders in it too. Or a CSV "
-        "file with a row for each target: a column target, with a path relative to the CSV file, or with "
-        "several that ; separates, which are fitted together; and, as far as they differ between "
-        "targets, id, camera, model, pose, loss, noise, free and seed.",
+        help="Folder whose clouds, meshes and masks are fitted, including those in subfolders. Or a CSV "
+        "file with a row for each target. Its column target has a path relative to the CSV file, or "
+        "several paths separated by ; that are fitted together. Further columns, for values that differ "
+        "between targets, are id, camera, model, pose, loss, noise, free and seed.",
     ),
 ]
 Folder = Annotated[
     Path,
     arg(
         metavar="DIR",
-        help="Folder for table.parquet, which has a row for each target, and for fits/ID/fit.json. The "
-        "same command again does only what is missing, or has changed.",
+        help="Folder for table.parquet, which has a row for each target, and for fits/ID/fit.json. If "
+        "the command is repeated, it fits only targets that are missing or have changed.",
     ),
 ]
 Workers = Annotated[
-    int | None, arg(metavar="N", help="Processes; by default one for each core of this machine.")
+    int | None, arg(metavar="N", help="Number of processes; by default one for each core here.")
 ]
 Scheduler = Annotated[
     str | None,
@@ -50,12 +50,12 @@ ShardOption = Annotated[
     arg(
         name="shard",
         metavar="I/N",
-        help="Fit only every N-th target from the I-th on, 1/N to N/N, for an array of jobs with a "
-        "common --out. The last one to finish completes the table.",
+        help="Fit only every N-th target, beginning with the I-th: 1/N to N/N, for an array of jobs with "
+        "a common --out. The last job to finish completes the table.",
     ),
 ]
 Profile = Annotated[
-    bool, arg(help="Say where the time went: by stage, and which targets took longest.")
+    bool, arg(help="Print the time of each stage, and the targets that took longest.")
 ]
 
 
@@ -74,7 +74,7 @@ def batch(
     profile: Profile = False,
     quiet: Quiet = False,
 ) -> int:
-    """Fit all files of a folder or a manifest; failures are in the table, with their reason."""
+    """Fit all files of a folder or a manifest; the table lists failures with their reasons."""
     if noise is not None:
         require_noise(noise, least="a positive number, or leave it out")
     require_seed(seed)
@@ -144,7 +144,7 @@ def _say(sentence: str) -> None:
 
 @contextmanager
 def _bar(quiet: bool) -> Iterator[Callable[["Progress"], None]]:
-    """A bar in a terminal; in a file a line now and then."""
+    """Yields a function that shows progress: as a bar in a terminal, or as occasional lines in a file."""
     from petalfit.cli.console import errors
 
     console = errors()
@@ -195,7 +195,7 @@ def _line_now_and_then() -> Callable[["Progress"], None]:
 
 
 def _summarise(outcome: "Outcome", out: Path, seconds: float) -> None:
-    """How many ended how, the reasons of failures, and where the table is."""
+    """Prints the numbers of fits by outcome, the reasons of failures, and the path of the table."""
     from collections import Counter
 
     from petalfit.batch.table import TABLE
@@ -217,7 +217,7 @@ def _summarise(outcome: "Outcome", out: Path, seconds: float) -> None:
 
 
 def _profile(outcome: "Outcome") -> None:
-    """Where the time went."""
+    """Prints the time of each stage, and the slowest targets."""
     from collections import defaultdict
 
     from rich.table import Table

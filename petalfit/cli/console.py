@@ -1,4 +1,4 @@
-"""What a person sees in the terminal: progress, tables, warnings."""
+"""Output in the terminal: progress, tables and warnings."""
 
 import math
 import sys
@@ -18,18 +18,18 @@ NOT_DETERMINED = "not determined"
 
 
 def output() -> Console:
-    """For results."""
+    """The console for results."""
     return _console(stderr=False)
 
 
 def errors() -> Console:
-    """For warnings and progress, which must not end up in a file with the results."""
+    """The console for warnings and progress, which must not end up in a file with the results."""
     return _console(stderr=True)
 
 
 def _console(*, stderr: bool) -> Console:
     stream = sys.stderr if stderr else sys.stdout
-    # σ and ± are in few of the encodings that Windows gives to a pipe.
+    # Few of the encodings that Windows gives to a pipe contain σ and ±.
     if hasattr(stream, "reconfigure"):
         stream.reconfigure(errors="replace")  # pyright: ignore[reportAttributeAccessIssue]
     return Console(stderr=stderr, highlight=False)
@@ -37,13 +37,13 @@ def _console(*, stderr: bool) -> Console:
 
 @contextmanager
 def progress(quiet: bool) -> Iterator[Callable[[str], None]]:
-    """Yields a function that shows what is being done; it does nothing if nobody is looking.
+    """Yields a function that shows the current step; it does nothing outside a terminal.
 
     Args:
-        quiet: show nothing in a terminal either.
+        quiet: Whether to show nothing in a terminal either.
 
     Yields:
-        A function of a line of text.
+        A function that takes a line of text.
     """
     console = errors()
     if quiet or not console.is_terminal:
@@ -64,7 +64,7 @@ def progress(quiet: bool) -> Iterator[Callable[[str], None]]:
 def with_error(value: float, error: float) -> tuple[str, str]:
     """A value and its standard error as text, both to two significant digits of the error.
 
-    An error that is infinite, or not known, leaves six digits of the value and no error.
+    If the error is infinite or unknown, the value has six digits and the error is empty.
     """
     from petalfit.report.rounding import decimals_of
 
@@ -78,14 +78,15 @@ def fit_table(result: "FitResult", truth: dict[str, float] | None = None) -> Tab
     """The parameters of a fit with their errors.
 
     Args:
-        result: what was fitted.
-        truth: if it is known, two more columns: the truth, and how many errors the fit is from it.
+        result: The result of the fit.
+        truth: The true values, if known. They add two columns: the truth, and the deviation of the fit
+            from it in standard errors.
 
     Returns:
-        A table, a row for each parameter of the model.
+        A table with a row for each parameter of the model.
     """
     table = Table(header_style="bold")
-    # Folded if need be: a number that is cut off is another number.
+    # Long cells are folded, because a number that is cut off would be another number.
     table.add_column("parameter", overflow="fold")
     numbers = ("value", "± error") if truth is None else ("truth", "value", "± error", "off by")
     for heading in numbers:
@@ -111,11 +112,11 @@ def fit_table(result: "FitResult", truth: dict[str, float] | None = None) -> Tab
 
 
 def summarise(result: "FitResult", noise: float | None) -> str:
-    """One line: how well the surface fits, and how the fit ended.
+    """A line on how well the surface fits, and how the fit ended.
 
     Args:
-        result: what was fitted.
-        noise: the noise that the user gave, if any.
+        result: The result of the fit.
+        noise: The noise that the user gave, if any.
     """
     parts = []
     for part in result.agreements:
@@ -129,7 +130,7 @@ def summarise(result: "FitResult", noise: float | None) -> str:
 
 
 def where_the_time_went(result: "FitResult") -> list[str]:
-    """The seconds of a fit by stage, in a part of a sentence; none if they are not known."""
+    """The seconds of a fit by stage, as a part of a sentence; an empty list if they are unknown."""
     if not result.timings:
         return []
     stages = [f"{stage} {seconds:.2g}" for stage, seconds in result.timings.items()]
@@ -137,7 +138,7 @@ def where_the_time_went(result: "FitResult") -> list[str]:
 
 
 def list_files(folder: Path, contents: dict[str, str]) -> None:
-    """Says where the files are, and what each is for."""
+    """Prints the paths of the files, and the purpose of each."""
     width = max(len(str(folder / name)) for name in contents)
     for name, what in contents.items():
         line = f"{folder / name!s:<{width}}  {what}"
@@ -145,7 +146,7 @@ def list_files(folder: Path, contents: dict[str, str]) -> None:
 
 
 def warn(result: "FitResult") -> None:
-    """Every reason not to trust the result, where it is seen even if the output is not."""
+    """Prints all warnings of a result, to the console for errors so that they are seen in any case."""
     console = errors()
     for warning in result.warnings:
         console.print(Text(f"warning: {warning}", style="yellow"), soft_wrap=True)

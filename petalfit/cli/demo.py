@@ -1,4 +1,4 @@
-"""`petalfit demo`: everything at once, on a petal whose truth is known."""
+"""`petalfit demo`: a complete run on a petal whose true parameters are known."""
 
 from pathlib import Path
 from typing import Annotated
@@ -12,8 +12,8 @@ PICTURE = "picture.png"
 MADE = ("the noisy points", "what they were made from")
 
 
-Folder = Annotated[Path, arg(metavar="DIR", help="Folder for all that it makes.")]
-Points = Annotated[int, arg(metavar="N", help="How many points the cloud has.")]
+Folder = Annotated[Path, arg(metavar="DIR", help="Folder for all files of the demo.")]
+Points = Annotated[int, arg(metavar="N", help="Number of points of the cloud.")]
 Noise = Annotated[
     float,
     arg(
@@ -21,7 +21,7 @@ Noise = Annotated[
         help="Standard deviation of every coordinate; petals are some 30 wide and 50 long.",
     ),
 ]
-Seed = Annotated[int, arg(metavar="S", help="Another seed is another petal.")]
+Seed = Annotated[int, arg(metavar="S", help="Random seed; another seed gives another petal.")]
 
 
 def demo(

@@ -1,4 +1,4 @@
-"""`petalfit fit`: from a file to named parameters, a mesh and a report."""
+"""`petalfit fit`: a fit of files, which gives named parameters, a mesh and a report."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -15,10 +15,10 @@ Targets = Annotated[
     Positional[tuple[Path, ...]],
     arg(
         metavar="TARGET",
-        help="Point cloud (.ply .xyz .txt .csv .npy .npz) or mesh (.ply .obj .stl .glb .gltf), without "
-        "--pose in the frame and unit of the model: its length along +y from the plane y = 0, its width "
-        "along x. Or mask (.png .tif), white where the petal is, or with an alpha channel; `petalfit "
-        "mask` makes one of a photo. Several targets are fitted together.",
+        help="Point cloud (.ply .xyz .txt .csv .npy .npz) or mesh (.ply .obj .stl .glb .gltf). Without "
+        "--pose it is in the frame and unit of the model: its length along +y from the plane y = 0, its "
+        "width along x. Or mask (.png .tif), white where the petal is, or with an alpha channel; "
+        "`petalfit mask` makes one from a photo. Several targets are fitted together.",
     ),
 ]
 Cameras = Annotated[
@@ -26,17 +26,17 @@ Cameras = Annotated[
     arg(
         name="camera",
         metavar="CAMERA.json",
-        help="Camera of the mask, or repeated for each mask in turn; or one transforms.json of a NeRF "
-        "tool for all of them, by name. A single mask without one is a front "
-        "view of unknown scale.",
+        help="Camera of the mask; repeat it for several masks, in their order. Or one transforms.json of "
+        "a NeRF tool, which has the cameras of all masks by name. A single mask without a camera is a "
+        "front view of unknown scale.",
     ),
 ]
 Folder = Annotated[
     Path,
     arg(
         metavar="DIR",
-        help="Folder for fit.json, fit.glb and report.html; made if it does not exist. All of them "
-        "are written or none.",
+        help="Folder for fit.json, fit.glb and report.html; it is created if it does not exist. Either "
+        "all of them are written or none.",
     ),
 ]
 ModelName = Annotated[
@@ -45,15 +45,16 @@ ModelName = Annotated[
         name="model",
         metavar="MODEL",
         help="Component to fit, by default a peony petal; `petalfit parameters MODEL` lists its "
-        "parameters. auto fits all families of petals, and keeps the one that explains a cloud best.",
+        "parameters. auto fits all families of petals and keeps the one that explains a cloud best.",
     ),
 ]
 PoseOption = Annotated[
     Literal["known", "rigid", "similarity"],
     arg(
         name="pose",
-        help="Whether the target is in the model's frame and unit, somewhere in that unit, or somewhere "
-        "in any. The last two are there for clouds of petals, rigid for masks with cameras too.",
+        help="known: the target is in the model's frame and unit; rigid: it is in the model's unit, but "
+        "in any position; similarity: it is in any position and unit. rigid and similarity work for "
+        "clouds of petals, and rigid also for masks with cameras.",
     ),
 ]
 LossOption = Annotated[
@@ -68,9 +69,9 @@ Free = Annotated[
     UseAppendAction[tuple[str, ...]],
     arg(
         metavar="NAME",
-        help="Parameter to fit; repeat it, or separate names by commas. The others keep their "
-        "defaults, or the values of --init. Without it all are fitted that `petalfit parameters` "
-        "does not call fixed.",
+        help="Parameter to fit; repeat it, or separate names by commas. The other parameters keep their "
+        "defaults, or the values of --init. Without this option, all parameters are fitted that "
+        "`petalfit parameters` does not call fixed.",
     ),
 ]
 Init = Annotated[
@@ -81,17 +82,17 @@ Noise = Annotated[
     float | None,
     arg(
         metavar="SIGMA",
-        help="Standard deviation of the points, in their unit; estimated if not given.",
+        help="Standard deviation of the noise of the points, in their unit; estimated if not given.",
     ),
 ]
 Profiles = Annotated[
     UseAppendAction[tuple[str, ...]],
     arg(
         metavar="NAME",
-        help="Parameter whose profile likelihood the report shows too; repeat it. Each takes ten fits.",
+        help="Parameter whose profile likelihood the report shows; repeat it. Each one takes ten fits.",
     ),
 ]
-Seed = Annotated[int, arg(metavar="S", help="Of the random choice of points to start with.")]
+Seed = Annotated[int, arg(metavar="S", help="Seed of the random choice of points for the starts.")]
 
 
 def fit(
@@ -159,7 +160,7 @@ def fit(
 
 
 def _read(targets: tuple[Path, ...], cameras: tuple[Path, ...]) -> "list[PointCloud | Silhouette]":
-    """Every file as what it holds, masks with their cameras."""
+    """Reads all target files, masks with their cameras."""
     from petalfit.observations import IMAGE_SUFFIXES, read_target
 
     masks = [path for path in targets if path.suffix.lower() in IMAGE_SUFFIXES]
@@ -171,7 +172,7 @@ def _read(targets: tuple[Path, ...], cameras: tuple[Path, ...]) -> "list[PointCl
 
 
 def _cameras(masks: list[Path], files: tuple[Path, ...]) -> "list[Camera | None]":
-    """A camera for each mask, or None for all of them."""
+    """A camera for each mask, or None for every mask."""
     from petalfit.observations import Camera, read_cameras
 
     if not files:
@@ -194,7 +195,7 @@ def _cameras(masks: list[Path], files: tuple[Path, ...]) -> "list[Camera | None]
 
 
 def names_of(free: tuple[str, ...]) -> list[str] | None:
-    """`--free a_x --free b_y` and `--free a_x,b_y` mean the same."""
+    """The names in `--free` options, which may be repeated or separate names by commas."""
     if not free:
         return None
     return [name for text in free for name in text.replace(",", " ").split()]

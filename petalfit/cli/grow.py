@@ -1,4 +1,4 @@
-"""`petalfit grow`: a whole flower, as a mesh or as a picture."""
+"""`petalfit grow`: a whole flower as a mesh, as JSON or as a picture."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -22,21 +22,21 @@ Out = Annotated[
     arg(
         aliases=["-o"],
         metavar="FILE",
-        help="A mesh (.glb with organs as named nodes; .obj .ply .stl), or the flower with all its "
-        "numbers (.json), to change and grow again.",
+        help="File to write: a mesh (.glb with organs as named nodes; .obj .ply .stl), or the flower "
+        "with all its numbers (.json), which can be changed and grown again.",
     ),
 ]
-Seed = Annotated[int, arg(metavar="S", help="Another seed is another flower of the kind.")]
+Seed = Annotated[int, arg(metavar="S", help="Random seed; another seed gives another flower.")]
 Settings = Annotated[
     UseAppendAction[tuple[str, ...]],
     arg(
         name="set",
         metavar="NAME=VALUE",
-        help="A number of an organ, petal.dy=4 for all petals or petal_3.dy=4 for one; repeat it. "
-        "A name that is unknown is answered with those that there are.",
+        help="A number of an organ, such as petal.dy=4 for all petals or petal_3.dy=4 for one; repeat "
+        "it. The error for an unknown name lists the known ones.",
     ),
 ]
-Png = Annotated[Path | None, arg(metavar="FILE", help="A picture of it too.")]
+Png = Annotated[Path | None, arg(metavar="FILE", help="File for a picture of the flower.")]
 
 
 def grow(

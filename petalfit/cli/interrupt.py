@@ -1,4 +1,4 @@
-"""Ctrl-C that is heard."""
+"""A reliable reaction to Ctrl-C."""
 
 import _thread
 import signal
@@ -6,19 +6,19 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-# Long enough for what cleans up after the first; short enough not to be pressed again.
+# Long enough for cleaning up after the first interrupt, short enough that nobody presses Ctrl-C again.
 _AGAIN = 0.7  # seconds
 
 
 @contextmanager
 def insistent_interrupt() -> Iterator[None]:
-    """While the block runs, Ctrl-C raises KeyboardInterrupt again and again until the block ends.
+    """Makes Ctrl-C raise KeyboardInterrupt repeatedly until the block ends.
 
-    Once is not enough: trimesh catches everything around its optional imports, and what is raised
-    in a callback of the garbage collector, of which jax has one, is dropped.
+    Once is not enough: trimesh catches all exceptions of its optional imports, and an exception in a
+    callback of the garbage collector, of which jax has one, is dropped.
     """
     in_main_thread = threading.current_thread() is threading.main_thread()
-    # Somebody who ignores the signal, nohup for instance, goes on doing so.
+    # If the signal is ignored or handled already, as by nohup, that stays so.
     if not in_main_thread or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         yield
         return
@@ -42,7 +42,7 @@ def insistent_interrupt() -> Iterator[None]:
 
 def _interrupt_main_thread() -> None:
     if hasattr(signal, "pthread_kill"):
-        # A real signal, which wakes what waits or sleeps.
+        # A real signal also wakes a thread that waits or sleeps.
         thread = threading.main_thread().ident
         assert thread is not None, "it runs"
         signal.pthread_kill(thread, signal.SIGINT)

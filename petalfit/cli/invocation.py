@@ -1,4 +1,4 @@
-"""The command line that a process is running, so that what it writes can say what made it."""
+"""The command line of the running process, which files can name as their origin."""
 
 import shlex
 from collections.abc import Iterator, Sequence
@@ -10,7 +10,7 @@ _arguments: ContextVar[tuple[str, ...]] = ContextVar("arguments", default=())
 
 @contextmanager
 def invoked_with(arguments: Sequence[str]) -> Iterator[None]:
-    """Within it, `command_line` is that of these arguments, the program's name left out."""
+    """Makes `command_line` return that of these arguments, given without the program's name."""
     token = _arguments.set(tuple(arguments))
     try:
         yield
@@ -19,6 +19,6 @@ def invoked_with(arguments: Sequence[str]) -> Iterator[None]:
 
 
 def command_line() -> str:
-    """As a shell takes it; empty outside of a command."""
+    """The running command in the notation of a shell; empty outside of a command."""
     arguments = _arguments.get()
     return shlex.join(["petalfit", *arguments]) if arguments else ""

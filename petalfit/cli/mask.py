@@ -1,4 +1,4 @@
-"""`petalfit mask`: from a photo to the mask of one petal, or flower."""
+"""`petalfit mask`: a mask of one petal or one flower from a photo."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,7 +15,7 @@ Photo = Annotated[
     Positional[Path],
     arg(
         metavar="PHOTO",
-        help="Image of any common kind. If it has an alpha channel, that is the mask.",
+        help="Image of any common format. If it has an alpha channel, that is the mask.",
     ),
 ]
 File = Annotated[
@@ -23,7 +23,7 @@ File = Annotated[
     arg(
         aliases=["-o"],
         metavar="MASK.png",
-        help="The mask to write, white on black. Beside it comes MASK-preview.png, to look at.",
+        help="The mask to write, white on black. MASK-preview.png is written beside it, for checking.",
     ),
 ]
 Points = Annotated[
@@ -32,8 +32,8 @@ Points = Annotated[
         name="point",
         metavar="X,Y",
         help="A place on the petal, in pixels from the left and from the top; repeat it for parts of "
-        "other colours. Without it the mask is what differs most from the border of the photo, the "
-        "largest piece of it.",
+        "other colours. Without it, the mask is the largest region that differs most from the border of "
+        "the photo.",
     ),
 ]
 
@@ -77,7 +77,7 @@ def _place(text: str) -> tuple[float, float]:
 
 
 def _write_preview(image: "np.ndarray", found: "np.ndarray", path: Path) -> None:
-    """The photo, dark outside the mask, with the outline drawn."""
+    """Writes the photo, darkened outside the mask, with the outline drawn."""
     import numpy as np
     from PIL import Image
     from skimage.segmentation import find_boundaries

@@ -1,4 +1,4 @@
-"""Models by their names on the command line."""
+"""The names of models on the command line."""
 
 from typing import Literal
 
@@ -8,10 +8,10 @@ from petalfit.surfaces import AbstractSurface
 
 
 def kind_of(name: str | None) -> type[AbstractSurface] | Literal["auto"]:
-    """The component of that name, the default petal for none, or "auto".
+    """The component with this name, the default petal for None, or "auto".
 
     Raises:
-        TargetError: There is no component of that name.
+        TargetError: There is no component with this name.
     """
     if name is None:
         return DEFAULT

@@ -1,4 +1,4 @@
-"""Options that several commands share, and what is required of them."""
+"""Options that several commands share, and checks of their values."""
 
 import math
 from typing import Annotated
@@ -11,7 +11,7 @@ Quiet = Annotated[bool, arg(help="Print warnings only.")]
 
 
 def setting_value(setting: str, name: str, text: str, example: str) -> float:
-    """The number of a `--set NAME=VALUE`, or a sentence that shows how one is written."""
+    """The number in `--set NAME=VALUE`; the error for other text shows an example."""
     try:
         return float(text)
     except ValueError:
@@ -20,11 +20,11 @@ def setting_value(setting: str, name: str, text: str, example: str) -> float:
 
 
 def require_noise(noise: float, *, least: str = "0 or more") -> None:
-    """Refuses what is no standard deviation; `least` says whether 0 is one."""
+    """Raises an error unless `noise` is a standard deviation; `least` says in words whether 0 is one."""
     good = math.isfinite(noise) and (noise > 0 or (noise == 0 and least == "0 or more"))
     require(good, f"--noise {noise:g} is no standard deviation; give {least}.")
 
 
 def require_seed(seed: int) -> None:
-    """Refuses negative seeds, which NumPy does not take."""
+    """Raises an error for a negative seed, which NumPy does not accept."""
     require(seed >= 0, f"--seed {seed} is negative; give 0 or more.")

@@ -1,4 +1,4 @@
-"""`petalfit parameters`: what there is to fit."""
+"""`petalfit parameters`: a list of the parameters of a model."""
 
 from typing import Annotated
 
@@ -8,7 +8,7 @@ from petalfit.cli.status import SUCCESS, require
 
 Model = Annotated[
     Positional[str | None],
-    arg(metavar="MODEL", help="Name of a component; without it those of a peony petal are listed."),
+    arg(metavar="MODEL", help="Name of a component; the default is a peony petal."),
 ]
 
 

@@ -1,4 +1,4 @@
-"""The folder of a fit's results: what is in it, written whole or not at all."""
+"""The folder of a fit's results: its files, which are written completely or not at all."""
 
 import dataclasses
 import os
@@ -27,7 +27,7 @@ CONTENTS = {
 
 
 def write_results(result: "FitResult", folder: Path) -> None:
-    """Writes the files of `CONTENTS`, which say by what command they were made."""
+    """Writes the files of `CONTENTS`, which name the command that made them."""
     from petalfit.export import export_mesh
     from petalfit.report import write_report
 
@@ -38,13 +38,13 @@ def write_results(result: "FitResult", folder: Path) -> None:
 
 
 def check_folder(folder: Path) -> None:
-    """Finds out before a long fit whether its results can be written.
+    """Checks, before a long fit, that its results can be written.
 
     Args:
-        folder: where they will go. It and the folders above it need not exist yet.
+        folder: The folder for the results. It and the folders above it need not exist yet.
 
     Raises:
-        CommandError: there is something else of that name, or no permission.
+        CommandError: The path is not a folder, or there is no permission.
     """
     place = _workplace(folder)
     require(place.is_dir(), f"{place} is not a folder; choose another --out.")
@@ -56,23 +56,23 @@ def check_folder(folder: Path) -> None:
 
 @contextmanager
 def written_whole(folder: Path) -> Iterator[Path]:
-    """Yields an empty folder to write files into; they move to `folder` when the block ends well.
+    """Yields an empty folder, whose files move to `folder` when the block ends without an error.
 
     If the block raises anything, `KeyboardInterrupt` included, or a file cannot be moved, then
-    nothing stays behind and whatever `folder` held before is untouched. Files of other names in it
-    always are.
+    nothing is left behind and the previous content of `folder` is kept. Files of other names in
+    `folder` are kept in any case.
 
     Args:
-        folder: where the files go. It is made if it does not exist, and the folders above it too.
+        folder: The folder for the files. It and the folders above it are created if necessary.
 
     Yields:
         The temporary folder.
 
     Raises:
-        CommandError: the files cannot be written or moved.
+        CommandError: The files cannot be written or moved.
     """
     final = Path(os.path.realpath(folder))
-    # In the same file system, so that moving is renaming.
+    # The temporary folder is in the same file system, so that moving is renaming.
     temporary = _workplace(final) / f".petalfit-{secrets.token_hex(8)}"
     try:
         temporary.mkdir()
@@ -108,7 +108,7 @@ def _move_files(source: Path, folder: Path) -> None:
                 os.replace(folder / name, before / name)
             os.replace(source / name, folder / name)
     except BaseException:
-        # By what is where, because an interrupt may fall between any two steps above.
+        # The places of the files decide, because an interrupt may fall between any two steps above.
         for name in names:
             if os.path.lexists(before / name):
                 os.replace(before / name, folder / name)

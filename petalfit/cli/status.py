@@ -1,4 +1,4 @@
-"""How a command ends: exit statuses, and the exception for options that it cannot follow."""
+"""Exit statuses of commands, and the exception for options that cannot be used."""
 
 SUCCESS = 0
 UNUSABLE = 2
@@ -8,9 +8,9 @@ BROKEN_PIPE = 141
 
 
 class CommandError(Exception):
-    """An option, or a place to write to, that cannot be used; exit status `UNUSABLE`.
+    """An option or an output path that cannot be used; its exit status is `UNUSABLE`.
 
-    The message is a sentence for the terminal: what was wrong, and what to do.
+    The message is a sentence for the terminal, on what was wrong and what to do.
     """
 
 

@@ -1,4 +1,4 @@
-"""`petalfit studio`: fits in the browser."""
+"""`petalfit studio`: a page in the browser on which petals are fitted."""
 
 from typing import Annotated
 
@@ -11,14 +11,14 @@ Port = Annotated[
     int,
     arg(
         metavar="PORT",
-        help="Where to listen, on this computer only; if it is taken, the next free.",
+        help="Port to listen on, on this computer only; if it is taken, the next free one is used.",
     ),
 ]
-NoBrowser = Annotated[bool, arg(help="Do not open a browser; print the address only.")]
+NoBrowser = Annotated[bool, arg(help="Print the address without opening a browser.")]
 
 
 def studio(port: Port = 8090, no_browser: NoBrowser = False, quiet: Quiet = False) -> int:
-    """Open a page on which petals are fitted: files in, watch it settle, sliders, files out."""
+    """Open a page in the browser to fit a petal, watch the fit, edit the result and download it."""
     require(1 <= port <= 65535, f"--port {port} is no port; give one from 1 to 65535.")
     try:
         import viser  # noqa: F401

@@ -1,4 +1,4 @@
-"""`petalfit synth`: a cloud or a mesh from named parameters."""
+"""`petalfit synth`: a cloud or a mesh of a petal with given parameters."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -20,7 +20,7 @@ File = Annotated[
     arg(
         aliases=["-o"],
         metavar="FILE",
-        help="What to write: a cloud (.ply .xyz .csv .npy .npz) or a mesh (.glb .obj .stl).",
+        help="File to write: a cloud (.ply .xyz .csv .npy .npz) or a mesh (.glb .obj .stl).",
     ),
 ]
 Settings = Annotated[
@@ -32,12 +32,12 @@ Settings = Annotated[
     ),
 ]
 Points = Annotated[
-    int | None, arg(metavar="N", help="How many points a cloud has; 1500 without it.")
+    int | None, arg(metavar="N", help="Number of points of a cloud; the default is 1500.")
 ]
 Noise = Annotated[
     float, arg(metavar="SIGMA", help="Standard deviation of every coordinate of a cloud.")
 ]
-Seed = Annotated[int, arg(metavar="S", help="Of points and noise.")]
+Seed = Annotated[int, arg(metavar="S", help="Seed of the random points and their noise.")]
 
 
 def synth(

@@ -1,3 +1,3 @@
-"""Fits in the browser: files in, a petal that settles while one looks on, sliders, files out."""
+"""The studio, for fits in the browser: uploads, a live view of the fit, sliders and downloads."""
 
 from petalfit.studio.server import Studio as Studio

@@ -1,4 +1,4 @@
-"""How the page draws each kind of target beside a model: points in the scene, or a picture."""
+"""Drawing of each kind of target beside a model: as points in the scene, or as a picture."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from petalfit.studio.pictures import picture
 from petalfit.studio.scenery import Scenery
 from petalfit.surfaces import AbstractSurface, Pose
 
-_IN_VIEW = 20_000  # points; of more a random choice
-_BESIDE = 2000  # of them, whose distances follow the sliders
+_IN_VIEW = 20_000  # the most points drawn; of more points a random choice is drawn
+_BESIDE = 2000  # the number of points whose distances follow the sliders
 
 
 class AbstractDrawn(abc.ABC):
-    """A target on the page.
+    """A target that the page draws.
 
     Attributes:
-        in_picture: Whether it is drawn in a picture, rather than as points in the scene.
-        unit: What is written behind its distances.
+        in_picture: Whether the target is drawn in a picture, rather than as points in the scene.
+        unit: The unit that is written after its distances.
     """
 
     in_picture: ClassVar[bool]
@@ -37,36 +37,36 @@ class AbstractDrawn(abc.ABC):
 
     @abc.abstractmethod
     def look(self) -> None:
-        """Brings it into view, before there is a model."""
+        """Brings the target into view, before there is a model."""
 
     @abc.abstractmethod
     def draw(
         self, model: AbstractSurface | None, pose: Pose, result: FitResult | None, measured: bool
     ) -> float | None:
-        """Draws it beside a model.
+        """Draws the target beside a model.
 
         Args:
             model: The model in its own frame, if there is one.
             pose: The pose from that frame to the target's.
-            result: The fit that the model is of, if there is one.
-            measured: Whether distances to a model that sliders have changed can be measured already.
+            result: The fit that the model comes from, if there is one.
+            measured: Whether the program that measures distances to an edited model is compiled.
 
         Returns:
-            The root mean square of the distances that were drawn, if there are any.
+            The root mean square of the distances that were drawn, or None.
         """
 
     def prepare(self, result: FitResult) -> bool:
-        """Compiles what measures distances to a model that sliders change; whether there is such."""
+        """Compiles the program that measures distances to an edited model; returns whether it exists."""
         del result
         return False
 
     def glimpse(self, model: AbstractSurface) -> None:
-        """Draws it beside a model while a fit runs, unless the fit itself brings its points."""
+        """Draws the target beside a model while a fit runs, unless the fit itself provides its points."""
         del model
 
 
 class DrawnCloud(AbstractDrawn):
-    """A cloud: points in the model's frame, coloured by their distances."""
+    """A cloud, drawn as points in the model's frame that are coloured by their distances."""
 
     in_picture: ClassVar[bool] = False
     unit: ClassVar[str] = ""
@@ -106,7 +106,7 @@ class DrawnCloud(AbstractDrawn):
 
 
 class DrawnMask(AbstractDrawn):
-    """A silhouette: a picture of the mask with the outline of the model."""
+    """A silhouette, drawn as a picture of the mask with the outline of the model."""
 
     in_picture: ClassVar[bool] = True
     unit: ClassVar[str] = " px"
@@ -130,10 +130,10 @@ class DrawnMask(AbstractDrawn):
 
 
 def drawn(target: AbstractObservation, scenery: Scenery, controls: PetalControls) -> AbstractDrawn:
-    """A target on the page.
+    """The object that draws a target on the page.
 
     Raises:
-        TypeError: Its kind cannot be drawn.
+        TypeError: Targets of this kind cannot be drawn.
     """
     makers = {"cloud": DrawnCloud, "mask": DrawnMask}
     if target.kind not in makers:
@@ -142,7 +142,7 @@ def drawn(target: AbstractObservation, scenery: Scenery, controls: PetalControls
 
 
 def _distances(model: AbstractSurface, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
-    """Signed distances to a surface that ends."""
+    """The signed distances of points to a surface with edges."""
     with jax.enable_x64(True):
         normal, beyond, _ = distances_beside(in_doubles(model), points)
     return signed_distance(normal, beyond)

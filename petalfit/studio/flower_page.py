@@ -1,4 +1,4 @@
-"""The page of a whole flower: every organ's numbers and colours as sliders, and glTF out."""
+"""The page of a whole flower: sliders and colours of every organ, and export as glTF."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from petalfit.studio.sliders import add_slider
 from petalfit.surfaces import Parameter, grid_faces, value_at
 
 _KINDS: dict[str, Callable[[int], Flower]] = {"lily": lily, "peony": peony}
-_SINGLE = 60  # organs of a series are listed one by one up to so many
-_FINE = 33  # vertices along u that a preview of a petal has
+_SINGLE = 60  # the most organs of a series that are listed one by one
+_FINE = 33  # number of vertices along u in the preview of a petal
 _BASE = ("receptacle", "pedicel")
 
 
 class FlowerPage:
-    """Controls of the page, and the flower that they describe."""
+    """The controls of the page, and the flower that they describe."""
 
     def __init__(self, session: Session) -> None:
         self._session = session
@@ -58,7 +58,7 @@ class FlowerPage:
         text.on_click(reacting(lambda _: self._download("flower.json", save_flower)))
 
     def open(self) -> None:
-        """Shows the flower, or the first one."""
+        """Shows the current flower, or grows the first one."""
         self._session.scenery.clear()
         if self._flower is None:
             self._grow()
@@ -82,7 +82,7 @@ class FlowerPage:
         self._draw(look=True)
 
     def _add_controls(self) -> None:
-        """Sliders and colours of the chosen organ."""
+        """Adds the sliders and colours of the selected organ."""
         gui, flower = self._session.gui, self._flower
         assert flower is not None, "a flower has been grown"
         for control in self._controls:
@@ -111,7 +111,7 @@ class FlowerPage:
                 self._controls.append(picker)
 
     def _moved(self, organ: str, path: str) -> None:
-        """Every organ that is meant changes by as much as their mean has to."""
+        """Changes a number of all selected organs by the same amount; their mean follows the slider."""
         flower = self._flower
         assert flower is not None, "a flower has been grown"
         parameter, values = next((p, x) for name, p, x in _numbers(flower, organ) if name == path)
@@ -157,7 +157,7 @@ def _series_of(flower: Flower, organ: str) -> int:
 
 
 def _members(flower: Flower, organ: str) -> list[str]:
-    """The names of all organs that are meant."""
+    """The names of the organs that a choice stands for: all of a series, or one."""
     if organ in _BASE:
         return [organ]
     series = flower.series[_series_of(flower, organ)]
@@ -165,7 +165,7 @@ def _members(flower: Flower, organ: str) -> list[str]:
 
 
 def _numbers(flower: Flower, organ: str) -> list[tuple[str, Parameter, np.ndarray]]:
-    """Path, declaration and values, one for each organ that is meant."""
+    """Path, declaration and values (one per organ) of the numbers of the selected organs."""
     if organ in _BASE:
         one = getattr(flower, organ)
         return [
@@ -178,21 +178,21 @@ def _numbers(flower: Flower, organ: str) -> list[tuple[str, Parameter, np.ndarra
     for whole, one in ((series.organ, series.one(0)), (series.attachment, series.attachment)):
         for path, parameter in parameters(one).items():
             if path == "azimuth" and organ == series.name and len(series) > 1:
-                continue  # they stand all around
+                continue  # they stand all around the axis, so their mean means nothing
             values = np.asarray(value_at(whole, path), np.float64)[which]
             found.append((path, parameter, values))
     return found
 
 
 def _colours(flower: Flower, organ: str) -> dict[str, Colour]:
-    """Of its parts."""
+    """The colours of an organ by the names of its parts."""
     if organ in _BASE:
         return {"": flower.colours[organ]}
     return flower.series[_series_of(flower, organ)].colours
 
 
 def _palette(flower: Flower, organ: str) -> list[tuple[str, int, tuple[int, int, int]]]:
-    """Part, number and colour of all that the organ's palettes have."""
+    """Part, number and RGB value of every colour in the palettes of an organ."""
     return [
         (part, k, tuple(np.rint(255 * np.asarray(rgb)).astype(int).tolist()))
         for part, colour in _colours(flower, organ).items()
@@ -201,7 +201,7 @@ def _palette(flower: Flower, organ: str) -> list[tuple[str, int, tuple[int, int,
 
 
 def _preview(sheets: list[Sheet]) -> bytes:
-    """All sheets as one mesh of glTF, with colours at the vertices and no more of these than needed."""
+    """All surfaces as one coarse glTF mesh with colours at its vertices."""
     import trimesh
     from trimesh.exchange.gltf import export_glb
 

@@ -1,4 +1,4 @@
-"""The controls of the page of one petal, from top to bottom."""
+"""The controls of the page of one petal, in their order from top to bottom."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ FILES = {
 
 
 class PetalControls:
-    """What there is to press, to choose and to read; what it does is the page's to say."""
+    """The buttons, choices and texts of the page; `PetalPage` connects them to actions."""
 
     def __init__(self, gui: viser.GuiApi) -> None:
         self.place = gui.add_folder(None)
@@ -38,8 +38,8 @@ class PetalControls:
             self.upload = gui.add_upload_button(
                 "Open a file",
                 icon=viser.Icon.UPLOAD,
-                hint="Cloud or mesh (.ply .obj .stl .glb .xyz .txt .csv .npy .npz), mask or photo "
-                "(.png .jpg .tif ...), camera of the mask or an earlier fit (.json)",
+                hint="A cloud or mesh (.ply .obj .stl .glb .xyz .txt .csv .npy .npz), a mask or photo "
+                "(.png .jpg .tif ...), the camera of the mask or an earlier fit (.json)",
             )
             self.case = gui.add_dropdown(
                 "Case",
@@ -51,13 +51,13 @@ class PetalControls:
             with gui.add_folder(None, visible=False) as self.cut:
                 self.spot = gui.add_vector2(
                     "On the petal", (0.0, 0.0), step=1.0,
-                    hint="A place on it, in pixels from the left and from the top of the photo",
+                    hint="A place on the petal, in pixels from the left and from the top of the photo",
                 )  # fmt: skip
                 self.again = gui.add_button("Cut it out again", icon=viser.Icon.SCISSORS)
             with gui.add_folder("Fit"):
                 self.kind = gui.add_dropdown(
                     "Model", ["auto", *models()], initial_value=DEFAULT.__name__,
-                    hint="auto fits every family of petals and keeps the one that explains best",
+                    hint="auto fits every family of petals and keeps the one that explains a cloud best",
                 )  # fmt: skip
                 self.pose = gui.add_dropdown(
                     "Pose", ["known", "rigid", "similarity"],

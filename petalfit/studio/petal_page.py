@@ -1,4 +1,4 @@
-"""The page of one petal: a target in, a fit that one can watch, sliders, files out."""
+"""The page of one petal: opening a target, watching its fit, sliders and downloads."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ from petalfit.studio.work import CalledOff, Work
 from petalfit.surfaces import AbstractSurface, Pose, value_at, with_value
 from petalfit.synthetic import make, make_masks
 
-_RESOLUTION = (65, 65)  # that of `FitResult.mesh`, whose program is there
-_OFTEN = 0.08  # seconds between two pictures of a fit that runs
-_FEW = 12  # rounds seen; with fewer the fit was too quick for the eye, and is shown again
+_RESOLUTION = (65, 65)  # that of `FitResult.mesh`, whose program is compiled already
+_OFTEN = 0.08  # seconds between two pictures of a running fit
+_FEW = 12  # a fit of which fewer rounds were shown was too quick for the eye, and is replayed
 
 
 class PetalPage:
-    """Controls of the page, and what they stand for."""
+    """The page of one petal: its controls, target, fit and drawings."""
 
     def __init__(self, session: Session) -> None:
         self._session, self._scenery = session, session.scenery
@@ -54,7 +54,7 @@ class PetalPage:
         self._connect()
 
     def _connect(self) -> None:
-        """What each control does."""
+        """Connects each control to its action."""
         reacting, controls = self._session.reacting, self._controls
         controls.upload.on_upload(reacting(self._uploaded))
         controls.case.on_update(reacting(lambda _: self.open_case()))
@@ -68,14 +68,14 @@ class PetalPage:
             box.on_update(self._session.latest(self.draw))
 
     def leave(self) -> None:
-        """Another page is shown: a fit would draw into it."""
+        """Ends the fit when another page is shown, because it would draw into that page."""
         self._session.forget()
         self._at_rest()
 
-    # What is fitted.
+    # The target.
 
     def open_case(self) -> None:
-        """The chosen case is the target."""
+        """Makes the selected case the target."""
         case = CASES[self._controls.case.value]
         target = make(case) if case.points else make_masks(case)[0]
         pose = "similarity" if case.unit != 1.0 else "rigid" if any(case.turn) else "known"
@@ -117,7 +117,7 @@ class PetalPage:
         loss: str,
         photo: Photo | None = None,
     ) -> None:
-        """A new target, and the options that suit it."""
+        """Sets a new target, and the options that suit it."""
         self._session.forget()
         self._at_rest()
         self._target, self._photo, self._result, self._model = target, photo, None, None
@@ -162,7 +162,7 @@ class PetalPage:
         self._session.begin(lambda work: self._run(work, target, options))
 
     def _run(self, work: Work, target: AbstractObservation, options: dict[str, Any]) -> None:
-        """The fit, in a thread of its own."""
+        """Runs the fit in a thread of its own, and shows its rounds and its outcome."""
         session, drawn, shown = self._session, [0.0], [0]
         stage = ["beginning"]
 
@@ -214,7 +214,7 @@ class PetalPage:
         self._controls.stop.visible, self._controls.go.disabled = False, False
 
     def _cancel(self) -> None:
-        """At once, without waiting for a turn that the fit may have."""
+        """Cancels the fit at once, without waiting for the turn of another reaction."""
         self._session.call_off()
         self._at_rest()
         self._controls.state.content = words.soft("cancelling; a step that has begun ends first")
@@ -223,7 +223,7 @@ class PetalPage:
         self._controls.state.content = words.soft("cancelled; the petal is where it stood")
 
     def _replay(self, work: Work) -> None:
-        """The rounds once more, slowly enough to be seen."""
+        """Shows the rounds again, slowly enough to be seen."""
         result = self._result
         for k, glimpse in enumerate(self._history[-3 * _FEW :]):
             with self._session.turn():
@@ -236,7 +236,7 @@ class PetalPage:
                 self.draw(look=True)
 
     def _prepare_sliders(self, result: FitResult) -> None:
-        """Lets distances follow them, too; not before what that takes is compiled."""
+        """Lets distances follow the sliders, once the program that this needs is compiled."""
         on_page = self._drawn
         assert on_page is not None, "a result has a target"
         with self._session.compiled():
@@ -248,7 +248,7 @@ class PetalPage:
                     self.draw()
 
     def _settle(self, result: FitResult) -> None:
-        """Shows what a fit found."""
+        """Shows the result of a fit."""
         self._result, self._model = result, result.model
         self._controls.verdict.content = words.verdict(result)
         self._controls.table.content = words.table(result)
@@ -264,7 +264,7 @@ class PetalPage:
         self.draw(look=True)
 
     def _add_rounds(self) -> None:
-        """A slider through the rounds of the fit that has just been made."""
+        """Adds a slider through the rounds of the last fit."""
         self._controls.round.visible = len(self._history) > 1
         for child in self._rounds:
             child.remove()
@@ -274,14 +274,14 @@ class PetalPage:
         last = len(self._history) - 1
         with self._controls.round:
             handle = self._session.gui.add_slider(
-                "Round", 0, last, 1, last, hint="Where the fit stood after each round"
+                "Round", 0, last, 1, last, hint="The petal after each round of the fit"
             )
         handle.on_update(
             self._session.latest(lambda: self._draw_glimpse(self._history[int(handle.value)]))
         )
         self._rounds.append(handle)
 
-    # What is shown.
+    # The drawing.
 
     @property
     def _is_edited(self) -> bool:
@@ -312,7 +312,7 @@ class PetalPage:
                 self._sliders.append(handle)
 
     def _moved(self) -> None:
-        """The sliders say what the petal is."""
+        """Sets the petal to the values of the sliders, and draws it."""
         if self._model is None:
             return
         model = self._model
@@ -325,7 +325,7 @@ class PetalPage:
             self.draw()
 
     def draw(self, look: bool = False) -> None:
-        """Everything, as it is; from a new place if `look`."""
+        """Draws the petal and the target; `look` moves the viewer to a new place."""
         on_page, result, model = self._drawn, self._result, self._model
         if on_page is None:
             return
@@ -338,7 +338,7 @@ class PetalPage:
             self._controls.edited.content = edited
 
     def _draw_surface(self, model: AbstractSurface, look: bool) -> None:
-        # Numbers of one kind, so that one program serves all.
+        # All numbers are doubles, so that one program serves all models.
         mesh = in_doubles(model).mesh(_RESOLUTION)
         vertices, normals = np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals)
         if look:
@@ -351,14 +351,14 @@ class PetalPage:
         if self._drawn is not None:
             self._drawn.glimpse(model)
         if isinstance(model, Posed):
-            # The petal stays where it is, and its points come to it.
+            # The petal stays in its own frame, and the points are moved into it.
             points, model = model.placement.into(points), model.surface
         self._draw_surface(model, first)
         limit = 3 * float(np.median(np.abs(glimpse.distances))) if len(points) else 1.0
         colours = diverging(glimpse.distances / max(limit, 1e-300))
         self._scenery.points(points, colours, self._controls.show_points.value)
 
-    # What is taken home.
+    # Downloads.
 
     def _download(self, name: str) -> None:
         result, model = self._result, self._model
@@ -379,7 +379,7 @@ class PetalPage:
 
 
 def _ends(result: FitResult) -> dict[str, Start]:
-    """The other starts by what the page calls them."""
+    """The end points of the other starts, by their names on the page."""
     return {
         f"{'rival' if start in result.rivals else 'start'}: {start.label}, "
         f"Δχ² {start.delta_chi2:.3g}": start

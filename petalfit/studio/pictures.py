@@ -1,4 +1,4 @@
-"""A mask or a photo with the outline of a petal on it."""
+"""Pictures of a mask or a photo with the outline of a petal."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ def picture(
     model: AbstractSurface | None,
     pose: Pose,
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """The target, its contour, and the outline of a model if there is one.
+    """A picture of the target, its contour, and the outline of a model if there is one.
 
     Args:
         silhouette: The target.
-        photo: What it was cut out of.
-        model: In its own frame.
-        pose: From there to the target's.
+        photo: The photo that the target was cut out of, or None.
+        model: The model in its own frame, or None.
+        pose: The pose from the model's frame to the target's.
     """
     mask = silhouette.mask[..., None]
     if photo is None:

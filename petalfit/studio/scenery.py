@@ -1,4 +1,4 @@
-"""What a browser shows in space: a surface, its normals, the points beside it."""
+"""The 3-D scene of a browser: a surface, its normals, and points."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from jaxtyping import Float, Int
 
 from petalfit.report.colour import FRONT
 
-_NORMALS = 12  # per side of a surface
+_NORMALS = 12  # number of normals shown along each side of a surface
 
 
 class Scenery:
-    """The scene of one browser. Lengths are the model's, y is up."""
+    """The scene of one browser. Lengths are in the model's unit, and y points up."""
 
     def __init__(self, client: viser.ClientHandle) -> None:
         self._client, self._scene = client, client.scene
         self._scene.set_up_direction("+y")
-        # A petal casts hardly any on itself, and they cost most of a frame.
+        # Shadows cost most of the time of a frame, and a petal casts hardly any on itself.
         self._scene.configure_default_lights(cast_shadow=False)
         self._faces: Int[np.ndarray, "f 3"] | None = None
         self._surface: viser.MeshHandle | None = None
@@ -25,13 +25,13 @@ class Scenery:
         self._extent = 1.0
 
     def clear(self) -> None:
-        """Nothing is left."""
+        """Removes everything from the scene."""
         self._scene.reset()
         self._scene.set_up_direction("+y")
         self._surface = self._points = None
 
     def look_at(self, points: Float[np.ndarray, "n 3"]) -> None:
-        """Puts the viewer where all points are seen, obliquely from the front."""
+        """Moves the viewer to a place obliquely in front, from which all points are visible."""
         low, high = points.min(axis=0), points.max(axis=0)
         middle, self._extent = 0.5 * (low + high), float(np.linalg.norm(high - low))
         away = np.array([0.45, 0.35, 1.0])
@@ -44,7 +44,7 @@ class Scenery:
     def surface(
         self, vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "f 3"], visible: bool
     ) -> None:
-        """The surface from now on."""
+        """Replaces the surface."""
         known = self._faces is not None and np.array_equal(self._faces, faces)
         if self._surface is not None and known:
             self._surface.vertices = np.asarray(vertices, np.float32)
@@ -66,7 +66,7 @@ class Scenery:
         normals: Float[np.ndarray, "n 3"],
         visible: bool,
     ) -> None:
-        """Some normals of the surface, as lines."""
+        """Shows some normals of the surface as lines."""
         if not visible:
             self._scene.remove_by_name("/normals")
             return
@@ -82,7 +82,7 @@ class Scenery:
     def points(
         self, points: Float[np.ndarray, "n 3"], colours: Float[np.ndarray, "n 3"], visible: bool
     ) -> None:
-        """The points from now on; colours from 0 to 1."""
+        """Replaces the points; colours run from 0 to 1."""
         shown = self._points
         if len(points) == 0 or not visible:
             if shown is not None:
@@ -101,10 +101,10 @@ class Scenery:
             point_shape="circle",
             precision="float32",
         )
-        # The page makes a new material whenever colours change, and with the last one of its kind goes
-        # its program, which takes a quarter of a second to compile: here is one more, which nobody sees.
+        # The page makes a new material whenever colours change. When the last material of a kind goes, so
+        # does its program, which takes a quarter of a second to compile; an invisible cloud keeps one.
         self._scene.add_point_cloud("/unseen", places[:2], colours[:2], point_size=0.0)
 
     def model(self, name: str, glb: bytes) -> None:
-        """A file of glTF under a name."""
+        """Shows a glTF file, and replaces an earlier one of the same name."""
         self._scene.add_glb(f"/{name}", glb)

@@ -1,4 +1,4 @@
-"""The server: it listens on this computer only, and gives each browser a session of its own."""
+"""The server of the studio: it listens on this computer only, and gives each browser a session."""
 
 from __future__ import annotations
 
@@ -34,18 +34,18 @@ class Studio:
     """A running server.
 
     Attributes:
-        url: Where it listens: at the port that was asked for, or the next one that is free.
+        url: The address of the server, with the requested port or the next free one.
     """
 
     def __init__(self, port: int = PORT) -> None:
-        # What is drawn for a tab that has just been closed is lost, and nobody misses it.
+        # viser warns about drawings for a tab that has just been closed; they are not needed.
         warnings.filterwarnings("ignore", r"Queued a \w+ on a closed connection")
         self._workshop = Workshop()
         self._folder: Path | None = folder_in_common()
         first = self._folder is None or not any(self._folder.iterdir())
         self._again = " (compiling, which only the first fit needs)" if first else ""
         self._sessions: dict[int, Session] = {}
-        with contextlib.redirect_stdout(io.StringIO()):  # viser introduces itself
+        with contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner
             self._server = viser.ViserServer(HOST, port, verbose=False)
         _dress(self._server.gui, dark=False)
         self._server.gui.set_panel_label("petalfit studio")
@@ -54,7 +54,7 @@ class Studio:
         self.url = f"http://{HOST}:{self._server.get_port()}"
 
     def stop(self) -> None:
-        """Ends all fits, and says goodbye."""
+        """Ends all fits and stops the server."""
         for session in [*self._sessions.values()]:
             session.close()
         with contextlib.redirect_stdout(io.StringIO()):
@@ -72,7 +72,7 @@ class Studio:
 
 
 class Pages:
-    """The two pages of a session, one of which is shown, and what both have in common."""
+    """The two pages of a session, of which one is shown, and the controls that both share."""
 
     def __init__(self, session: Session) -> None:
         gui = session.gui

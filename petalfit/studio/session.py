@@ -1,4 +1,4 @@
-"""One browser: its pages, and what happens to them, one thing after the other."""
+"""The session of one browser, which handles its events one after the other."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ log = logging.getLogger("petalfit.studio")
 
 
 class Session:
-    """What one browser has; nothing of it is shared with another.
+    """The state of one browser, none of which is shared with another browser.
 
     Attributes:
-        gui: Its controls.
-        scenery: Its scene.
-        folder: Of compiled programs, which all browsers share; None for none.
-        waiting: Why fits may take their time, as a bracket behind what they are at; or nothing.
+        gui: The controls of the browser.
+        scenery: The 3-D scene of the browser.
+        folder: The folder of compiled programs, which all browsers share, or None.
+        waiting: A text in brackets, appended to the progress of a fit, on why it may take long; or "".
     """
 
     def __init__(
@@ -50,49 +50,49 @@ class Session:
 
     @property
     def busy(self) -> bool:
-        """Whether a fit waits or runs."""
+        """Whether a fit is waiting or running."""
         return self._work is not None and self._work.running
 
     def close(self) -> None:
-        """The browser has gone: nobody waits for its fit any more."""
+        """Ends the session, and its fit, after the browser has gone."""
         self._closed = True
         self.forget()
 
     def call_off(self) -> None:
-        """Ends the fit, if there is one, which then says so."""
+        """Cancels the fit, if there is one; the page will report it."""
         if self._work is not None:
             self._work.call_off()
 
     def forget(self) -> None:
-        """Ends the fit, if there is one, of which nobody wants to hear any more."""
+        """Cancels the fit, if there is one; the page will not report it."""
         self.call_off()
         self._work = None
 
     def wants(self, work: Work) -> bool:
-        """Whether that is the work of which the page tells."""
+        """Whether the page still reports this work, and not a later one."""
         return self._work is work
 
     def complain(self, sentence: str) -> None:
-        """Says what was wrong, where it cannot be missed."""
+        """Shows an error message as a notification."""
         if not self._closed:
             self._client.add_notification(
                 "That did not work", sentence, color="red", auto_close_seconds=20
             )
 
     def download(self, name: str, write: Callable[[Path], None]) -> None:
-        """Gives the browser what a function writes into a file of that name."""
+        """Sends the browser a file of this name that a function writes."""
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / name
             write(path)
             self._client.send_file_download(name, path.read_bytes(), save_immediately=True)
 
     def compiled(self) -> contextlib.AbstractContextManager[None]:
-        """While the block runs, compiled programs are at hand."""
+        """Makes a block of code load compiled programs from the folder and save them there."""
         return use_folder(self.folder)
 
     @contextlib.contextmanager
     def turn(self) -> Iterator[None]:
-        """One thing at a time, with compiled programs at hand; what goes wrong is said on the page.
+        """Runs a block while no other one runs, with compiled programs; shows its errors on the page.
 
         Raises:
             CalledOff: The browser has gone.
@@ -113,7 +113,7 @@ class Session:
                 self.complain(f"petalfit failed ({type(error).__name__}: {error}).")
 
     def reacting(self, react: Callable[[Any], None]) -> Callable[[Any], None]:
-        """A reaction to an event that takes its turn."""
+        """A handler that reacts to an event when it is its turn."""
 
         def reacted(event: Any) -> None:
             with contextlib.suppress(CalledOff), self.turn():
@@ -122,7 +122,7 @@ class Session:
         return reacted
 
     def latest(self, react: Callable[[], None]) -> Callable[[Any], None]:
-        """The same, but of events that come faster than they are answered only the last one is."""
+        """A handler that waits for its turn and then reacts only to the latest of the waiting events."""
         waiting = [0]
 
         def reacted(_: Any) -> None:
@@ -135,6 +135,6 @@ class Session:
         return reacted
 
     def begin(self, do: Callable[[Work], None]) -> None:
-        """Starts a fit in the background; one at a time."""
+        """Starts a fit in the background, as the only one that the page reports."""
         self._work = Work()
         self._workshop.begin(self._work, do)

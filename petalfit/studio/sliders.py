@@ -1,4 +1,4 @@
-"""Sliders for parameters, with ranges and units from their declarations."""
+"""Sliders for parameters; ranges and units come from the declarations of the parameters."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ _STEPS = 400
 
 
 def slider_range(parameter: Parameter, value: float) -> tuple[float, float, float]:
-    """Lowest, highest and step: the typical range and half of it around, the value, within the bounds."""
+    """Lowest value, highest value and step: 1.5 typical ranges and the value, within the bounds."""
     low, high = parameter.typical
     room = 0.25 * (high - low)
     low, high = min(low - room, value), max(high + room, value)
-    # Bounds are open: their ends are no values of a surface.
+    # Bounds are open intervals, whose ends are not valid values.
     inside = 1e-3 * (high - low)
     low, high = max(low, parameter.bounds[0] + inside), min(high, parameter.bounds[1] - inside)
     decimals = -math.floor(math.log10((high - low) / _STEPS))
@@ -33,7 +33,7 @@ def add_slider(
     value: float,
     moved: Callable[[viser.GuiEvent[viser.GuiSliderHandle[float]]], None],
 ) -> viser.GuiSliderHandle[float]:
-    """A slider that calls `moved` whenever it is, with the declaration for whoever hovers over it."""
+    """A slider that calls `moved` when it moves; its hint shows the declaration of the parameter."""
     unit = {"1": "no unit"}.get(parameter.unit, parameter.unit)
     lowest, highest = parameter.typical
     typical = f"typically {lowest:g} to {highest:g}"

@@ -1,4 +1,4 @@
-"""What a browser sends: bounded while it comes, and then parsed as data."""
+"""Uploads from a browser: their size is limited while they arrive, then they are parsed as data."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ from petalfit.observations.images import opened_image
 from petalfit.observations.photo import read_photo, segment
 from petalfit.observations.readers import SUFFIXES
 
-LARGEST = 100_000_000  # bytes, as sent and unpacked
+LARGEST = 100_000_000  # bytes of an upload, both as sent and unpacked
 _LARGEST_IMAGE = 40_000_000  # pixels
 
 
 @dataclasses.dataclass(frozen=True)
 class Photo:
-    """A photo, and the petal that was cut out of it.
+    """A photo, and the mask of the petal in it.
 
     Attributes:
-        picture: Colours from 0 to 1, shape (h, w, 3).
-        target: The petal's mask.
+        picture: The colours from 0 to 1, shape (h, w, 3).
+        target: The mask of the petal.
     """
 
     picture: Float[np.ndarray, "h w 3"]
@@ -45,15 +45,15 @@ class Photo:
 
     @classmethod
     def of(cls, image: Float[np.ndarray, "h w c"], place: tuple[float, float] | None) -> Photo:
-        """A photo whose petal is at a place, or what stands out most.
+        """Segments a photo; the petal is the object at a place (x, y), or the one that stands out most.
 
         Raises:
-            TargetError: Nothing does.
+            TargetError: No object stands out.
         """
         try:
             mask = segment(image, () if place is None else (place,))
         except TargetError as error:
-            # What the message advises is an option of a command; here it is a field of the page.
+            # The message recommends an option of a command; on the page this is a field.
             text = str(error).replace(
                 "with --point x,y", "below, in pixels from the left and the top"
             )
@@ -65,14 +65,14 @@ Read = PointCloud | Silhouette | Photo | Camera | FitResult
 
 
 def read_upload(name: str, content: bytes) -> Read:
-    """A file as what it holds.
+    """Reads an uploaded file of any supported kind.
 
     Args:
-        name: As the browser calls it; only its suffix is believed.
-        content: All of it.
+        name: The name of the file in the browser; only its suffix is used.
+        content: The complete content of the file.
 
     Raises:
-        TargetError: It is none of what the page can use; the message begins with the name.
+        TargetError: The page cannot use the file; the message begins with the name.
     """
     shown = PurePosixPath(name.replace("\\", "/")).name or "the file"
     suffix = Path(shown).suffix.lower()
@@ -103,7 +103,7 @@ def read_upload(name: str, content: bytes) -> Read:
 
 
 def too_large(name: str, size: int) -> str:
-    """What is said of a file that is."""
+    """The error message for a file that is too large."""
     return (
         f"{name} holds {size / 1e6:.0f} MB; this page takes {LARGEST / 1e6:.0f} MB. Thin the cloud or "
         "decimate the mesh, or use `petalfit fit` on the command line."
@@ -152,7 +152,7 @@ def _check_unpacked(path: Path) -> None:
         with zipfile.ZipFile(path) as archive:
             size = sum(member.file_size for member in archive.infolist())
     except (OSError, zipfile.BadZipFile):
-        return  # which its reader says better
+        return  # the reader of the file gives a better error
     if size > LARGEST:
         raise TargetError(
             f"it unpacks to {size / 1e6:.0f} MB; this page takes {LARGEST / 1e6:.0f} MB."
@@ -160,13 +160,13 @@ def _check_unpacked(path: Path) -> None:
 
 
 def bound_uploads(client: viser.ClientHandle, refuse: Callable[[str], None]) -> None:
-    """Drops what a browser sends beyond `LARGEST`, as it announces it or as it comes.
+    """Refuses uploads of more than `LARGEST` bytes, when they are announced or while they arrive.
 
-    viser has no bound of its own, and keeps parts in memory until the last one is there.
+    viser itself has no limit, and keeps all parts in memory until the last one has arrived.
 
     Args:
         client: The browser.
-        refuse: Called with a sentence for whoever sent it.
+        refuse: A function that is called with an error message for the user.
     """
     gui = client.gui
     interface, uploads = gui._websock_interface, gui._current_file_upload_states
@@ -176,7 +176,7 @@ def bound_uploads(client: viser.ClientHandle, refuse: Callable[[str], None]) -> 
         if message.size_bytes <= LARGEST:
             start(sender, message)  # pyright: ignore[reportArgumentType]
             return
-        # So that the page stops waiting for it.
+        # This acknowledgement makes the page stop waiting for the upload.
         interface.queue_message(
             _messages.FileTransferPartAck(
                 source_component_uuid=message.source_component_uuid,

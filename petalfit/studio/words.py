@@ -1,4 +1,4 @@
-"""What the page says: pieces of HTML that suit its light and its dark."""
+"""The texts of the page, as HTML that suits its light and its dark theme."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ _CELL = "padding:0.1em 0.35em;vertical-align:top"
 
 
 def text(sentence: str) -> str:
-    """A sentence of ours, without markup."""
+    """A sentence of plain text as HTML."""
     return _block(html.escape(sentence))
 
 
 def soft(sentence: str) -> str:
-    """The same, less loud."""
+    """A sentence of plain text as HTML, in a softer colour."""
     return _block(f'<span style="{_SOFT}">{html.escape(sentence)}</span>')
 
 
@@ -33,7 +33,7 @@ def _block(content: str) -> str:
 
 
 def verdict(result: FitResult) -> str:
-    """Whether it converged, how close it came, and the reasons for doubt."""
+    """The verdict on a fit: whether it converged, how close it came, and its warnings."""
     part = result.agreements[0]
     unit = " px" if part.unit == "px" else ""
     mark, words = ("✓", "converged") if result.converged else ("✗", "not converged")
@@ -53,7 +53,7 @@ def verdict(result: FitResult) -> str:
 
 
 def table(result: FitResult) -> str:
-    """Every parameter, its error, and what is not determined."""
+    """A table of all parameters with their errors, which marks those that are not determined."""
     rows = []
     for name, parameter in result.declared.items():
         value, error = result.values[name], result.stderr.get(name, math.nan)
@@ -80,7 +80,7 @@ def table(result: FitResult) -> str:
 
 
 def progress(stage: str, costs: Sequence[float]) -> str:
-    """What a fit is doing, and how close it was after each round."""
+    """The stage of a running fit, and how close it was after each round."""
     return _block(f"{html.escape(stage)}{_curve(costs)}")
 
 
@@ -102,7 +102,7 @@ def _curve(costs: Sequence[float]) -> str:
 
 
 def key(limit: float, unit: str) -> str:
-    """What the colours of points mean."""
+    """The key to the colours of points."""
     stops = ", ".join(css(colour) for colour in (NEGATIVE, ZERO, POSITIVE))
     return _block(
         f'<div style="height:0.6em;border-radius:0.3em;background:linear-gradient(90deg, {stops})">'
@@ -113,7 +113,7 @@ def key(limit: float, unit: str) -> str:
 
 
 def edited(result: FitResult, rms: float | None, unit: str) -> str:
-    """How the petal that the sliders show compares with the fitted one."""
+    """A comparison of the petal that the sliders show with the fitted one."""
     if rms is None:
         return soft("as the sliders say")
     fitted = result.agreements[0].rms

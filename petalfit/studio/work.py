@@ -1,4 +1,4 @@
-"""Work in the background: as much at a time as there are cores, and each piece can be called off."""
+"""Work in the background: as many pieces at a time as there are cores, each of which can be cancelled."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from collections.abc import Callable
 
 
 class CalledOff(Exception):
-    """Nobody wants the work any more."""
+    """The work has been cancelled."""
 
 
 class Workshop:
-    """Room for as many pieces of work at a time as there are cores; the others wait.
+    """Runs as many pieces of work at a time as there are cores; the others wait.
 
     Fits spend their time in compiled code, which lets other threads run. The threads end with the
-    process, whatever they are at.
+    process, even in the middle of their work.
     """
 
     def __init__(self) -> None:
         self._room = threading.Semaphore(os.cpu_count() or 1)
 
     def begin(self, work: Work, do: Callable[[Work], None]) -> None:
-        """Runs `do(work)` in a thread as soon as there is room."""
+        """Runs `do(work)` in a thread as soon as a core is free."""
 
         def run() -> None:
             with contextlib.suppress(CalledOff), self._room:
@@ -37,25 +37,25 @@ class Workshop:
 
 
 class Work:
-    """One piece of work, which asks now and then whether it is still wanted."""
+    """One piece of work, which checks now and then whether it has been cancelled."""
 
     def __init__(self) -> None:
         self._off = threading.Event()
 
     @property
     def running(self) -> bool:
-        """Whether it is still wanted, waiting for room included."""
+        """Whether the work is running or waiting for a core, and not cancelled."""
         return not self._off.is_set()
 
     def call_off(self) -> None:
-        """It ends where it asks next, or never begins."""
+        """Cancels the work: it ends at its next check, or never begins."""
         self._off.set()
 
     def check(self) -> None:
-        """Goes on if the work is still wanted.
+        """Returns if the work has not been cancelled.
 
         Raises:
-            CalledOff: It is not.
+            CalledOff: The work has been cancelled.
         """
         if self._off.is_set():
             raise CalledOff
