@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import petalfit as pf
 from benchmarks.targets import among_strays, cloud_of, petal_of
+from petalfit.fitting.inference.verdict import about_distances
 from petalfit.fitting.likelihood.mixture import mixture
 from petalfit.fitting.outliers.local_planes import on_sheets
 from petalfit.fitting.solver.alternate import whiten
@@ -306,13 +307,27 @@ def test_a_start_that_all_points_leave_is_an_end_like_others():
 
 def test_nothing_is_said_of_points_that_all_belong_elsewhere():
     """But how many they are; the median of no distances would be a warning of numpy's."""
-    petal = pf.PeonyPetal()
-    cloud = petal.sample(200, seed=0)
-    uv = np.random.default_rng(0).uniform([-0.5, 0.0], [0.5, 1.0], (200, 2))
-    part = Agreement(cloud, np.full(200, 30.0), np.full(200, 1e-9), SIGMA, uv)
-    assert part.strays == 200
-    assert _about(part, uv, petal, None) == []
-    assert _about(part, uv, petal, SIGMA) == ["distances are 600.0 times the given noise"]
+    cloud = pf.PeonyPetal().sample(200, seed=0)
+    part = Agreement(cloud, np.full(200, 30.0), np.full(200, 1e-9), SIGMA)
+    assert part.outliers == 200
+    assert about_distances(part, None) == []
+    assert about_distances(part, SIGMA) == ["distances are 600.0 times the given noise"]
+
+
+def test_outliers_are_found_in_a_joint_fit():
+    """Of two clouds with clutter of their own, and of half a cloud with clutter beside a mask."""
+    petal = petal_of(3004)
+    rng = np.random.default_rng(8)
+    clouds = [among_strays(petal.sample(700, seed=k, noise=SIGMA).points, 0.2, rng) for k in (1, 2)]
+    result = pf.fit_petal(clouds, loss="robust")
+    for name in result.names:
+        if result.identifiable[name]:
+            assert abs(result.values[name] - getattr(petal, name)) < 5 * result.stderr[name], name
+    for part in result.agreements:
+        assert part.used[:560].mean() > 0.97
+        assert part.used[560:].mean() < 0.1
+    with pytest.raises(pf.TargetError, match="is there for clouds"):
+        pf.fit_petal(np.eye(64)[:, ::-1] > -1, loss="robust")
 
 
 def test_an_information_that_rounding_made_indefinite_is_whitened_all_the_same():
