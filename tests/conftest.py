@@ -23,7 +23,7 @@ settings.register_profile("ci", deadline=None, derandomize=True, database=None, 
 settings.load_profile("ci" if os.environ.get("CI") else "default")
 
 
-# What Program asks of the compiler, for what is computed outside of one: two fifths less to wait for.
+# What Program asks of the compiler, for programs that do not come from one: two fifths less to wait for.
 _FLAGS = "--xla_llvm_disable_expensive_passes=true --xla_cpu_use_fusion_emitters=false"
 
 

@@ -147,6 +147,8 @@ def _item(cells: Mapping[str, str], folder: Path, options: Mapping[str, Any]) ->
     parts = PurePosixPath(name).parts
     if name.startswith("/") or ".." in parts or not parts:
         name = PurePosixPath(*(part for part in parts if part not in ("/", ".."))).as_posix()
+    if name in ("", "."):
+        raise TargetError(f"the id {cells.get('id', '')!r} names no folder; give another one.")
     own: dict[str, Any] = {n: cells[n] for n in ("model", "pose", "loss") if n in cells}
     if "noise" in cells:
         own["noise"] = float(cells["noise"])

@@ -18,7 +18,7 @@ class AbstractObservation(abc.ABC):
 
     A new kind is a subclass. It is registered under its `kind`, the name that files use; the residuals,
     pictures and controls of the kind are registered where they are defined
-    (`petalfit.fitting.likelihood.observing`, `petalfit.report.shown`, `petalfit.studio.drawn`).
+    (`petalfit.fitting.silhouettes.observing`, `petalfit.report.shown`, `petalfit.studio.drawn`).
 
     Attributes:
         kind: The name of the kind in files and reports, for instance "cloud".
@@ -75,7 +75,7 @@ class AbstractObservation(abc.ABC):
         return self
 
     def counting(self, weights: Float64[np.ndarray, " n"]) -> AbstractObservation:
-        """The same with the weights that its data had at the end of a fit, if they may have changed."""
+        """The observation with the weights of its data at the end of a fit, if those may have changed."""
         del weights
         return self
 

@@ -79,7 +79,7 @@ def test_samples_and_meshes_are_of_all_parts():
 def test_masks_of_assemblies_are_refused():
     camera = pf.Camera.look_at((0, 0, 50), (0, 10, 0), (64, 64), pixels_per_unit=2.0)
     mask = pf.Filament(r=2.0).silhouette(camera)
-    with pytest.raises(pf.TargetError, match="several surfaces, which are fitted to one cloud"):
+    with pytest.raises(pf.TargetError, match="a Stamen is fitted to one cloud"):
         pf.fit(pf.Stamen, mask)
 
 

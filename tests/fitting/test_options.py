@@ -1,0 +1,110 @@
+"""Options that a fit does not use are refused, and components of every shape are looked at."""
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import petalfit as pf
+from petalfit.surfaces import angle, length, number
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [("free", ["a_x"]), ("init", pf.SplinePetal())],
+)
+def test_a_spline_takes_neither_free_nor_init(option, value):
+    cloud = pf.PeonyPetal().sample(300)
+    with pytest.raises(pf.TargetError, match=f"SplinePetal does not use {option}"):
+        pf.fit(pf.SplinePetal, cloud, **{option: value})
+
+
+def test_a_spline_uses_the_noise_that_it_is_given():
+    cloud = pf.PeonyPetal().sample(400, seed=0, noise=0.05)
+    assert pf.fit(pf.SplinePetal, cloud, noise=0.2).noise == 0.2
+
+
+@pytest.mark.parametrize(
+    ("model", "options", "match"),
+    [
+        (pf.RibPattern, {"pose": "rigid"}, "pattern does not use pose"),
+        (pf.RibPattern, {"loss": "robust"}, "pattern does not use loss"),
+        (pf.PeonyPetal, {"palette": ("#fff", "#f0f")}, "component does not use palette"),
+        (pf.PeonyPetal, {"surface": pf.PeonyPetal}, "component does not use surface"),
+        (
+            pf.PeonyPetal,
+            {"camera": pf.Camera.orthographic(np.eye(3), 1.0, (0.0, 0.0), (8, 8))},
+            "camera is for masks",
+        ),
+    ],
+)
+def test_what_a_fit_does_not_use_is_refused(model, options, match):
+    cloud = pf.PeonyPetal().sample(100, seed=0)
+    target = np.random.default_rng(0).random((16, 16)) if model is pf.RibPattern else cloud
+    with pytest.raises(pf.TargetError, match=match):
+        pf.fit(model, target, **options)
+
+
+class Ruler(pf.AbstractSurface):
+    """A strip whose lengths all begin at 0, and with a parameter that a pose has too."""
+
+    reach: pf.Scalar = length(5.0, "l", (0.0, 50.0), (2.0, 20.0), "along y")
+    scale: pf.Scalar = number(0.3, "s", (0.05, 2.0), (0.1, 0.9), "width, in lengths")
+    domain: ClassVar[pf.Domain] = pf.Domain((-0.5, 0.5), (0.0, 1.0))
+    regular: ClassVar[bool] = True
+
+    def position(self, u, v):
+        return jnp.stack([self.scale * self.reach * u, self.reach * v, 0.3 * v**2], axis=-1)
+
+
+class Angles(pf.AbstractSurface):
+    """A square of side 1 without any length, folded along its middle."""
+
+    fold: pf.Scalar = angle(0.3, "φ", (-1.4, 1.4), (0.0, 1.0), "rise of each half")
+    domain: ClassVar[pf.Domain] = pf.Domain((-0.5, 0.5), (0.0, 1.0))
+    regular: ClassVar[bool] = True
+
+    def position(self, u, v):
+        return jnp.stack([u * jnp.cos(self.fold), v, jnp.abs(u) * jnp.sin(self.fold)], axis=-1)
+
+
+@pytest.mark.parametrize("truth", [Ruler(reach=8.0, scale=0.5), Angles(fold=0.6)], ids=repr)
+def test_components_without_lengths_or_with_lengths_from_0(truth, tmp_path):
+    """And a parameter called scale is one like others."""
+    result = pf.fit(type(truth), truth.sample(600, seed=1, noise=0.005))
+    for name in result.names:
+        assert result.identifiable[name]
+        assert abs(result.values[name] - getattr(truth, name)) < 5 * result.stderr[name]
+    assert set(result.declared) == set(result.values)
+    assert result.rivals == ()
+    result.save(tmp_path / "fit.json")
+    again = pf.FitResult.load(tmp_path / "fit.json", model=type(truth))
+    assert again.declared == result.declared
+    result.report(tmp_path / "report.html")
+
+
+def test_a_pose_of_a_component_with_its_names_is_refused():
+    cloud = Ruler().sample(300, seed=1)
+    with pytest.raises(pf.TargetError, match="scale of Ruler are names of a pose's own"):
+        pf.fit(Ruler, cloud, pose="rigid")
+
+
+def test_a_profile_keeps_outliers_out():
+    """Each point counts in it as much as in the fit."""
+    petal = pf.PeonyPetal(a_x=13.0, b_y=24.0)
+    points = petal.sample(600, seed=4, noise=0.05).points
+    outliers = np.random.default_rng(1).uniform(points.min(axis=0), points.max(axis=0), (60, 3))
+    result = pf.fit_petal(np.concatenate([points, outliers]), loss="robust")
+    low, high = result.with_profile("dy", points=7).profiles["dy"].interval()
+    assert low < result.values["dy"] < high
+    assert 3 < (high - low) / result.stderr["dy"] < 5
+
+
+def test_a_file_of_an_earlier_version_names_the_command_that_makes_it_again(tmp_path):
+    path = tmp_path / "fit.json"
+    path.write_text(
+        '{"format": "petalfit.FitResult", "version": 3, "command": "petalfit fit a.ply --out b"}'
+    )
+    with pytest.raises(pf.TargetError, match=r"Fit the target again: petalfit fit a\.ply --out b"):
+        pf.FitResult.load(path)
