@@ -120,7 +120,8 @@ def _masks(petals: int, tell: Tell) -> Iterator[Metric]:
         problem = peer.available()
         if problem is not None:
             note = _missing(peer.NAME, problem)
-            yield Metric(f"speed.mask_over_{key}", np.nan, "×", "more", note=note)
+            for ratio in ("mask", "mask_without_errors"):
+                yield Metric(f"speed.{ratio}_over_{key}", np.nan, "×", "more", note=note)
             continue
         ratios, alone, ends, converged = [], [], [], 0
         for k, (petal, mask, start) in enumerate(cases):
