@@ -15,5 +15,4 @@ from petalfit.results.record import Rank as Rank
 from petalfit.results.status import Status as Status
 from petalfit.results.warning import FitWarning as FitWarning
 from petalfit.results.warning import WarningKind as WarningKind
-from petalfit.results.warning import of_kind as of_kind
 from petalfit.results.warning import one_of_each as one_of_each

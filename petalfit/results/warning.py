@@ -89,11 +89,6 @@ class FitWarning(str):
         return cls(content["text"], content["kind"], content["parameters"])
 
 
-def of_kind(warnings: Iterable[FitWarning], kind: WarningKind) -> list[FitWarning]:
-    """The warnings of one kind."""
-    return [warning for warning in warnings if warning.kind is kind]
-
-
 def one_of_each(warnings: Iterable[FitWarning]) -> Iterator[tuple[str, list[str]]]:
     """Groups warnings that say the same about different parameters.
 

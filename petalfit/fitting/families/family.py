@@ -14,8 +14,6 @@ from petalfit.fitting.request.request import Request
 from petalfit.fitting.solver.iterate import Iterate
 from petalfit.surfaces import AbstractSurface
 
-EVERY_POSE = ("known", "rigid", "similarity")
-
 
 class AbstractFamily(abc.ABC):
     """A family of models: it knows how the models of one kind are fitted.

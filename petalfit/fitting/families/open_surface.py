@@ -13,10 +13,11 @@ from jaxtyping import Float
 from petalfit.compilation import stage
 from petalfit.components import Posed
 from petalfit.fitting.coordinates import Coordinates, in_doubles, with_values
-from petalfit.fitting.families.family import EVERY_POSE, AbstractFamily
+from petalfit.fitting.families.family import AbstractFamily
 from petalfit.fitting.families.polish import likelier
 from petalfit.fitting.likelihood.cloud import ObservedCloud
 from petalfit.fitting.outliers.scan import Scan
+from petalfit.fitting.request.checks import POSES
 from petalfit.fitting.request.request import Request, scan_of
 from petalfit.fitting.solver.all_points import with_all_points
 from petalfit.fitting.solver.debias import without_bias
@@ -90,7 +91,7 @@ class OpenSurfaceFamily(AbstractFamily):
             other parameters are nearly right.
     """
 
-    poses: ClassVar[tuple[str, ...]] = EVERY_POSE
+    poses: ClassVar[tuple[str, ...]] = POSES
     held_at_first: ClassVar[tuple[str, ...]] = ()
 
     @abc.abstractmethod

@@ -10,7 +10,7 @@ import numpy as np
 
 from petalfit.components import PeonyPetal, Posed
 from petalfit.fitting.coordinates import Coordinates, Prior, in_doubles, with_values
-from petalfit.fitting.families.family import EVERY_POSE, AbstractFamily
+from petalfit.fitting.families.family import AbstractFamily
 from petalfit.fitting.families.peony.known import known_starts
 from petalfit.fitting.families.peony.outlines import ribbed_starts
 from petalfit.fitting.families.peony.pose import Placed, placed_petals
@@ -28,6 +28,7 @@ from petalfit.fitting.likelihood.views import ObservedViews
 from petalfit.fitting.outliers.annealing import approach, term_of
 from petalfit.fitting.outliers.robust import Clutter
 from petalfit.fitting.outliers.scan import Scan
+from petalfit.fitting.request.checks import POSES
 from petalfit.fitting.request.request import Request, scan_of
 from petalfit.fitting.solver.all_points import with_all_points
 from petalfit.fitting.solver.iterate import Iterate
@@ -53,7 +54,7 @@ class PeonyFamily(AbstractFamily):
     """The family of peony petals, whose outline, heights and ribs are found one after the other."""
 
     kind: ClassVar[type[AbstractSurface]] = PeonyPetal
-    poses: ClassVar[tuple[str, ...]] = EVERY_POSE
+    poses: ClassVar[tuple[str, ...]] = POSES
     # A fitted pose makes the petal's place along its normal redundant.
     gauges: ClassVar[Mapping[str, tuple[str, ...]]] = {"rigid": ("c_z",), "similarity": ("c_z",)}
     is_petal: ClassVar[bool] = True

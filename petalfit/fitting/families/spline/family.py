@@ -8,10 +8,11 @@ import numpy as np
 
 from petalfit.compilation import stage
 from petalfit.components import Posed, SplinePetal, bare
-from petalfit.fitting.families.family import EVERY_POSE, AbstractFamily
+from petalfit.fitting.families.family import AbstractFamily
 from petalfit.fitting.families.spline.smoothing import in_own_frame, smooth
 from petalfit.fitting.likelihood.foot_points import distances_beside, signed_distance
 from petalfit.fitting.likelihood.observed import Residuals
+from petalfit.fitting.request.checks import POSES
 from petalfit.fitting.request.request import Request, scan_of
 from petalfit.fitting.solver.iterate import Iterate
 from petalfit.fitting.starts.frame import NormalisedFrame
@@ -22,7 +23,7 @@ class SplineFamily(AbstractFamily):
     """The family of spline surfaces. Their fits take no start, and no parameter is free."""
 
     kind: ClassVar[type[AbstractSurface]] = SplinePetal
-    poses: ClassVar[tuple[str, ...]] = EVERY_POSE
+    poses: ClassVar[tuple[str, ...]] = POSES
     is_petal: ClassVar[bool] = True
     takes: ClassVar[frozenset[str]] = frozenset({"noise", "seed"})
     fewest: ClassVar[int | None] = 200
