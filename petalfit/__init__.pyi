@@ -59,6 +59,7 @@ from .results import Agreement as Agreement
 from .results import FitWarning as FitWarning
 from .results import Profile as Profile
 from .results import Status as Status
+from .results import Trait as Trait
 from .results import WarningKind as WarningKind
 from .surfaces import AbstractDeformedSurface as AbstractDeformedSurface
 from .surfaces import AbstractSurface as AbstractSurface

@@ -129,6 +129,10 @@ def _record(
         "values": result.values,
         "stderr": {n: x if np.isfinite(x) else None for n, x in result.stderr.items()},
         "identifiable": identifiable,
+        "traits": {n: trait.value for n, trait in result.traits.items()},
+        "trait_stderr": {
+            n: t.stderr if np.isfinite(t.stderr) else None for n, t in result.traits.items()
+        },
         "scale": float(result.pose.scale),
         "rotation": np.ravel(result.pose.rotation).tolist(),
         "translation": np.ravel(result.pose.translation).tolist(),

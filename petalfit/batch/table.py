@@ -38,7 +38,8 @@ def write_table(records: Sequence[dict[str, Any]], path: Path) -> None:
     (the number of points, or of places of a contour), outliers, rms, noise, scale, rotation (nine
     numbers, row by row) and translation (three). Each parameter of each model has three more columns:
     its name for the value, and its name with `_stderr` (null where the data do not determine it) and
-    with `_identifiable`. Values that a target does not have are null.
+    with `_identifiable`. Each trait has two: `trait_` and its name, and the same with `_stderr` (null
+    where it is not known); see `petalfit.results.trait`. Values that a target does not have are null.
     """
     import pyarrow.parquet
 
@@ -70,6 +71,9 @@ def as_table(records: Sequence[dict[str, Any]]) -> pyarrow.Table:
         columns[name] = of_parameter("values", name, pa.float64())
         columns[f"{name}_stderr"] = of_parameter("stderr", name, pa.float64())
         columns[f"{name}_identifiable"] = of_parameter("identifiable", name, pa.bool_())
+    for name in dict.fromkeys(x for record in records for x in record.get("traits", ())):
+        columns[f"trait_{name}"] = of_parameter("traits", name, pa.float64())
+        columns[f"trait_{name}_stderr"] = of_parameter("trait_stderr", name, pa.float64())
     return pa.table(columns)
 
 

@@ -111,6 +111,21 @@ def fit_table(result: "FitResult", truth: dict[str, float] | None = None) -> Tab
     return table
 
 
+def traits_table(result: "FitResult") -> Table:
+    """What botanists measure, with errors, in the target's unit."""
+    table = Table(header_style="bold")
+    table.add_column("trait", overflow="fold")
+    for heading in ("value", "± error"):
+        table.add_column(heading, justify="right", overflow="fold")
+    table.add_column("unit", overflow="fold")
+    table.add_column("what it is", overflow="fold")
+    for name, trait in result.traits.items():
+        shown, shown_error = with_error(trait.value, trait.stderr)
+        unit = "" if trait.unit == "1" else trait.unit
+        table.add_row(name, shown, shown_error or "not known", unit, trait.meaning)
+    return table
+
+
 def summarise(result: "FitResult", noise: float | None) -> str:
     """A line on how well the surface fits, and how the fit ended.
 

@@ -114,7 +114,15 @@ def fit(
         require_noise(noise, least="a positive number, or leave it out")
     require_seed(seed)
     require(bool(targets), "there is no TARGET; give the file of a cloud, a mesh or a mask.")
-    from petalfit.cli.console import fit_table, list_files, output, progress, summarise, warn
+    from petalfit.cli.console import (
+        fit_table,
+        list_files,
+        output,
+        progress,
+        summarise,
+        traits_table,
+        warn,
+    )
     from petalfit.cli.models import kind_of
     from petalfit.cli.results import CONTENTS, check_folder, write_results, written_whole
     from petalfit.compilation.cache import compilation_cache
@@ -147,9 +155,10 @@ def fit(
             show(f"writing {out}")
             with written_whole(out) as folder:
                 write_results(result, folder)
+            tables = [fit_table(result), *([traits_table(result)] if result.traits else [])]
     if not quiet:
         console = output()
-        console.print(fit_table(result))
+        console.print(*tables, sep="\n")
         console.print(summarise(result, noise), soft_wrap=True)
         for name, found in result.profiles.items():
             low, high = found.interval()

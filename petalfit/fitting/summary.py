@@ -11,7 +11,7 @@ import numpy as np
 from petalfit.components import Parameter, Posed, bare, parameters
 from petalfit.fitting.families.family import AbstractFamily
 from petalfit.fitting.inference import verdict
-from petalfit.fitting.inference.identifiability import combinations, covariance
+from petalfit.fitting.inference.identifiability import combinations, covariance, posterior_of
 from petalfit.fitting.request.request import Request
 from petalfit.fitting.result import FitResult
 from petalfit.fitting.solver.iterate import Iterate
@@ -41,8 +41,10 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
     source = best.model if finite or isinstance(best.model, Posed) else template
     values = {name: float(value_at(source, name)) for name in declared}
     matrix, found = np.full((len(names), len(names)), np.inf), np.zeros(len(names), bool)
-    if finite:
+    posterior = None
+    if finite and names:
         matrix, found = covariance(ends, names, declared)
+        posterior = posterior_of(best, names, declared)
     identifiable = dict(zip(names, map(bool, found), strict=True))
     bounds = verdict.at_bounds(values, names, declared)
     in_image = isinstance(source, Posed) and request.pose == "known"
@@ -105,6 +107,7 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
         warnings=tuple(warnings),
         steps=best.rounds,
         starts=starts,
+        posterior=posterior,
         in_image=in_image,
     )
 

@@ -21,6 +21,7 @@ from petalfit.report.tables import (
     parameter_table,
     pose_table,
     starts_table,
+    traits_table,
 )
 from petalfit.report.viewer import fingerprint, script, viewer
 from petalfit.results import FitRecord, one_of_each
@@ -59,6 +60,7 @@ def _page(result: FitRecord) -> str:
         parameter_table(result),
         _table_notes(result),
         pose_table(result),
+        traits_table(result),
         *_pictures(result),
         *_profiles(result),
         '<div class="pair">',

@@ -108,6 +108,33 @@ def pose_table(result: FitRecord, level: float = 0.95) -> str | None:
     )
 
 
+def traits_table(result: FitRecord, level: float = 0.95) -> str | None:
+    """A table of the traits and their errors; None for a surface without traits."""
+    if not result.traits:
+        return None
+    rows = []
+    for name, trait in result.traits.items():
+        kind, shown, reach = "fixed", _data(trait.value, plain(trait.value)), "error not known"
+        if math.isfinite(trait.stderr) and trait.stderr > 0:
+            kind, decimals = "known", decimals_of(trait.stderr)
+            rounded, rounded_error = measured(trait.value, trait.stderr)
+            shown = f'{_data(trait.value, rounded)} <span class="error">± {rounded_error}</span>'
+            reach = " to ".join(
+                fixed(trait.value + side * quantile(level) * trait.stderr, decimals)
+                for side in (-1, 1)
+            )
+        unit = _UNITS.get(trait.unit, trait.unit)
+        term = f' <span class="meaning">{trait.term}</span>' if trait.term else ""
+        rows.append(
+            f'<tr class="{kind}"><th scope="row"><code>{name}</code>'
+            f'<span class="meaning">{html.escape(trait.meaning)}</span>{term}</th>'
+            f'<td class="value">{shown}</td><td class="reach">{reach}</td>{_unit(unit)}'
+            '<td class="strip"></td></tr>'
+        )
+    head = _parameter_head(level, strip="").replace(">parameter<", ">trait<")
+    return f"<h2>Traits</h2>{head}" + "\n".join(rows) + "\n</tbody></table>"
+
+
 def _unit(unit: str) -> str:
     return f'<td class="unit{" none" if unit == "–" else ""}">{html.escape(unit)}</td>'
 

@@ -6,6 +6,7 @@ import dataclasses
 import hashlib
 import json
 import os
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
@@ -20,6 +21,7 @@ from petalfit.results.estimate import Estimate, Start
 from petalfit.results.misfit import MisfitMap
 from petalfit.results.profile import Profile
 from petalfit.results.status import Status
+from petalfit.results.trait import Posterior, Trait, traits_of
 from petalfit.results.warning import FitWarning
 from petalfit.surfaces import AbstractSurface, Pose, moved, with_value
 from petalfit.version import VERSION as PETALFIT
@@ -64,6 +66,7 @@ class FitRecord(Estimate):
         profiles: Profile likelihoods by name of the parameter, for those that `with_profile` computed.
         pose_stderr: Standard errors of a fitted pose: turn_x, turn_y and turn_z about the model's axes
             in rad, shift_x, shift_y and shift_z in the target's unit, and scale. Empty if it was known.
+        posterior: What is known of all free parameters together; None if they have no errors.
         in_image: Whether a mask without a camera was fitted. The values then include the place in the
             image: scale, in pixels a unit, and shift_x and shift_y, in pixels.
         made_by: The version of petalfit that made the result.
@@ -77,6 +80,7 @@ class FitRecord(Estimate):
     ranking: tuple[Rank, ...] = ()
     pose_stderr: dict[str, float] = dataclasses.field(default_factory=dict)
     profiles: dict[str, Profile] = dataclasses.field(default_factory=dict)
+    posterior: Posterior | None = None
     in_image: bool = False
     made_by: str = f"petalfit {PETALFIT}"
     command: str = ""
@@ -114,6 +118,18 @@ class FitRecord(Estimate):
     def weights(self) -> Float64[np.ndarray, " n"]:
         """The weights that all data had in the fit, one target after the other."""
         return np.concatenate([part.weights for part in self.agreements])
+
+    @cached_property
+    def traits(self) -> dict[str, Trait]:
+        """What botanists measure, by name, in the target's unit; empty for anything but a sheet.
+
+        See `petalfit.results.trait`. Errors allow for those of a fitted scale, and are infinite if the
+        parameters have none.
+        """
+        if not np.isfinite(list(self.values.values())).all():
+            return {}
+        length = "px" if self.in_image else "unit"
+        return traits_of(self.model, float(self.pose.scale), self.posterior, length)
 
     @property
     def declared(self) -> dict[str, Parameter]:
@@ -201,6 +217,7 @@ class FitRecord(Estimate):
             if field.name not in self._apart
         }
         fields["status"] = str(self.status)
+        fields["posterior"] = None if self.posterior is None else vars(self.posterior)
         fields["pose"] = dataclasses.asdict(self.pose)
         fields["warnings"] = [warning.to_json() for warning in self.warnings]
         fields["starts"] = [dataclasses.asdict(start) for start in self.starts]
@@ -255,6 +272,7 @@ class FitRecord(Estimate):
                 ),
                 "names": tuple(fields["names"]),
                 "covariance": np.array(fields["covariance"], float).reshape(count, count),
+                "posterior": _posterior(fields.get("posterior")),
                 "notes": tuple(fields["notes"]),
                 "warnings": tuple(map(FitWarning.from_json, fields["warnings"])),
                 "starts": tuple(Start(**start) for start in fields["starts"]),
@@ -275,3 +293,11 @@ class FitRecord(Estimate):
                 ),
             }
         )
+
+
+def _posterior(fields: dict[str, Any] | None) -> Posterior | None:
+    if fields is None:
+        return None
+    names = tuple(fields["names"])
+    covariance = np.array(fields["covariance"], float)
+    return Posterior(names, covariance.reshape(len(names), len(names)))

@@ -7,6 +7,9 @@ from petalfit.surfaces.map import Domain as Domain
 from petalfit.surfaces.map import Scalar as Scalar
 from petalfit.surfaces.map import broadcast_floats as broadcast_floats
 from petalfit.surfaces.map import position_and_tangents as position_and_tangents
+from petalfit.surfaces.measures import Measures as Measures
+from petalfit.surfaces.measures import measures as measures
+from petalfit.surfaces.measures import nodes as nodes
 from petalfit.surfaces.outline import Outline as Outline
 from petalfit.surfaces.outline import outline as outline
 from petalfit.surfaces.parameter import WRAPPED as WRAPPED

@@ -14,12 +14,21 @@ from petalfit.batch import folder as module
 from petalfit.batch.folder import Shard, run_batch
 from petalfit.batch.items import items_of
 from petalfit.batch.records import Task, keep, perform
+from petalfit.batch.table import as_table
 from petalfit.cli import main
 
 COUNT = 8
 ROTTEN = ("empty.xyz", "few.xyz", "sub/not_a_cloud.ply")
 OPTIONS = {"model": "Ellipsoid", "pose": "known", "loss": "linear", "noise": None, "seed": 0,
            "free": None}  # fmt: skip
+
+
+def test_the_table_has_the_traits():
+    of_one = {"traits": {"length": 2.5, "area": 3.0}, "trait_stderr": {"length": 0.1, "area": None}}
+    row, other = as_table([of_one, {}]).to_pylist()
+    assert [row[f"trait_{name}"] for name in ("length", "area")] == [2.5, 3.0]
+    assert [row[f"trait_{name}_stderr"] for name in ("length", "area")] == [0.1, None]
+    assert other["trait_length"] is None
 
 
 @pytest.fixture(scope="module")

@@ -41,6 +41,8 @@ def test_fit_from_nothing(petalfit: Call, cloud: PointCloud, tmp_path: Path) -> 
         assert abs(result.values[name] - truth) < 6 * result.stderr[name], name
         assert name in outcome.out
     assert "fixed" in outcome.out
+    for name in result.traits:
+        assert name in outcome.out
     summary = f"1,500 points, rms distance {result.rms:.3g}, noise {result.noise:.3g} (estimated); "
     assert summary + "converged after" in outcome.out
     for file in FILES:

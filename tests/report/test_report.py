@@ -15,6 +15,8 @@ import petalfit
 from petalfit import FitResult, PointCloud, Pose, Status, __version__, parameters
 from petalfit.report import provenance, write_picture, write_report
 from petalfit.report.colour import NEGATIVE, POSITIVE, ZERO, diverging
+from petalfit.report.rounding import measured
+from petalfit.results import Posterior
 from tests.fitted import HOSTILE, NOISE, changed, known_pose, posed
 
 INLINE = {"span", "sub", "var", "code", "data", "strong", "small"}
@@ -97,6 +99,19 @@ class TestContent:
         for name, parameter in parameters(posed().model).items():
             assert repr(posed().values[name]) in exact
             assert parameter.meaning in page.parameters[name]
+
+    def test_traits_with_all_their_digits(self, tmp_path):
+        known = Posterior(("a_x", "b_y"), np.diag([0.01, 0.04]))
+        traits = changed(known_pose(), posterior=known).traits
+        page = variant(tmp_path, posterior=known)
+        exact = {a["value"] for tag, a in page.tags if tag == "data"}
+        assert {repr(trait.value) for trait in traits.values()} <= exact
+        words = " ".join(page.text.split())
+        for name, trait in traits.items():
+            assert re.search(rf"\b{name}\s*{re.escape(trait.meaning)}", words), name
+        rounded = " ± ".join(measured(traits["area"].value, traits["area"].stderr))
+        assert rounded in words
+        assert "error not known" in " ".join(variant(tmp_path).text.split())
 
     def test_values_are_rounded_to_their_errors(self, page):
         error = posed().stderr["a_x"]

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 
 from petalfit.components import Parameter, Posed, parameters
 from petalfit.fitting.solver.iterate import Iterate
-from petalfit.results import CLEAR_LEAD, FitWarning, WarningKind
+from petalfit.results import CLEAR_LEAD, FitWarning, Posterior, WarningKind
 from petalfit.surfaces import AbstractSurface, value_at
 
 # A parameter is determined if its standard error is below this many standard deviations of its
@@ -76,6 +76,25 @@ def covariance(
     inverse = np.linalg.inv(ends[0].information * scales + prior)
     matrix = inverse @ (ends[0].score_covariance * scales + prior) @ inverse
     return np.where(np.outer(found, found), matrix * scales, np.inf), found
+
+
+def posterior_of(
+    end: Iterate, names: Sequence[str], declared: Mapping[str, Parameter]
+) -> Posterior:
+    """What is known of the parameters of the model and of the scale, with typical ranges as priors."""
+    spread = typical_spread(names, declared)
+    scales, identity = np.outer(spread, spread), np.eye(len(names))
+    inverse = np.linalg.inv(end.information * scales + identity)
+    matrix = inverse @ (end.score_covariance * scales + identity) @ inverse * scales
+    placed = set(Posed.similarity) if isinstance(end.model, Posed) else set()
+    own = [k for k, name in enumerate(names) if name not in placed]
+    factors = np.ones(len(names))
+    if "scale" in placed & set(names):
+        # Its error is that of the factor by which it differs from the fitted scale.
+        k = list(names).index("scale")
+        own, factors[k] = [*own, k], 1 / float(end.model.scale)
+    matrix = matrix * np.outer(factors, factors)
+    return Posterior(tuple(names[k] for k in own), matrix[np.ix_(own, own)])
 
 
 def _nearly_as_good(ends: Sequence[Iterate]) -> list[Iterate]:

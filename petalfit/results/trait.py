@@ -1,0 +1,137 @@
+"""Traits: what botanists measure of a petal or leaf, with errors, in the target's unit."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import numpy as np
+from jaxtyping import Array, Float, Float64
+
+from petalfit.compilation import Program
+from petalfit.components import parameters
+from petalfit.surfaces import (
+    AbstractSurface,
+    Measures,
+    measures,
+    nodes,
+    value_at,
+    with_value,
+)
+
+_STEP = 1e-4  # step of the central differences, in standard deviations of a typical range
+# Unit ("unit" for the target's unit of length), meaning, and identifier in the Plant Ontology or the
+# Plant Trait Ontology, where there is one.
+_DECLARED = {
+    "length": ("unit", "arc of the midrib from base to tip", "TO:0000135"),
+    "width": ("unit", "greatest width, along the surface", "TO:0000370"),
+    "width_at": ("1", "where that is, from the base, in lengths", ""),
+    "length_to_width": ("1", "length divided by width", ""),
+    "area": ("unit²", "area of one face", ""),
+    "perimeter": ("unit", "length of the whole margin", ""),
+    "chord": ("unit", "straight distance from base to tip", ""),
+    "chord_to_length": ("1", "chord divided by length: 1 for a straight midrib", ""),
+    "bend": ("rad", "of the whole midrib, towards the upper side", ""),
+    "cup": ("rad", "of the section at half length, from margin to margin", ""),
+    "twist": ("rad", "of the surface about its midrib, from base to tip", ""),
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Trait:
+    """A measured trait.
+
+    Attributes:
+        value: Its value.
+        stderr: Its standard error, by the delta method; infinite if it is not known.
+        unit: "unit" for the target's unit of length, "unit²", "rad" or "1"; "px" and "px²" for a mask
+            without a camera.
+        meaning: What is measured.
+        term: Its identifier in the Plant Trait Ontology (of leaves); empty if there is none.
+    """
+
+    value: float
+    stderr: float
+    unit: str
+    meaning: str
+    term: str = ""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Posterior:
+    """What a fit knows of its free parameters, given the typical ranges as priors.
+
+    Unlike the covariance of a result it is finite where the data do not determine a parameter, so that a
+    quantity that they determine gets its error although its parameters do not.
+
+    Attributes:
+        names: Names of the free parameters of the model, followed by "scale" if that of the pose is free.
+        covariance: Their covariance, shape (q, q); that of the scale is relative.
+    """
+
+    names: tuple[str, ...]
+    covariance: Float64[np.ndarray, "q q"]
+
+
+def traits_of(
+    model: AbstractSurface, scale: float, posterior: Posterior | None, length: str = "unit"
+) -> dict[str, Trait]:
+    """The traits of a sheet; none for a surface that is closed in a direction.
+
+    Args:
+        model: The model in its own frame.
+        scale: The length of the model's unit in the target's.
+        posterior: What is known of its parameters; None for errors that are not known.
+        length: The name of the target's unit of length.
+    """
+    if not all(model.edges):
+        return {}
+    names = () if posterior is None else posterior.names
+    own = [name for name in names if name != "scale"]
+    steps = _STEP * np.sqrt([np.ptp(parameters(model)[name].typical) ** 2 / 12 for name in own])
+    # One sheet as fitted, and for each of its parameters one on either side.
+    moved = np.array([value_at(model, name) for name in own], float) * np.ones(
+        (1 + 2 * len(own), 1)
+    )
+    moved[1 : 1 + len(own)] += np.diag(steps)
+    moved[1 + len(own) :] -= np.diag(steps)
+    batch = jax.tree.map(lambda x: np.broadcast_to(x, (len(moved), *np.shape(x))), model)
+    for k, name in enumerate(own):
+        batch = with_value(batch, name, moved[:, k])
+    u, v = nodes(model.domain)
+    with jax.enable_x64(True):
+        grids = scale * np.asarray(_positions(batch, u, v), float)
+    found = _all(measures(grids, model.orientation))
+    values = found[:, 0]
+    slopes = (found[:, 1 : 1 + len(own)] - found[:, 1 + len(own) :]) / (2 * steps)
+    if "scale" in names:
+        powers = [unit.count("unit") * (2 if "²" in unit else 1) for unit, *_ in _DECLARED.values()]
+        slopes = np.column_stack([slopes, values * powers])
+    errors = np.full(len(values), np.inf)
+    if posterior is not None:
+        errors = np.sqrt(np.sum((slopes @ posterior.covariance) * slopes, axis=-1))
+    return {
+        name: Trait(float(value), float(error), unit.replace("unit", length), meaning, term)
+        for (name, (unit, meaning, term)), value, error in zip(
+            _DECLARED.items(), values, errors, strict=True
+        )
+    }
+
+
+def _all(found: Measures) -> Float[np.ndarray, "t k"]:
+    """All declared traits, those that are ratios of others included."""
+    derived = {
+        "length_to_width": found.length / found.width,
+        "chord_to_length": found.chord / found.length,
+    }
+    return np.stack([(found._asdict() | derived)[name] for name in _DECLARED])
+
+
+def _batch(
+    models: AbstractSurface, u: Float[Array, "m n"], v: Float[Array, "m n"]
+) -> Float[Array, "k m n 3"]:
+    # One after the other: all at once would not fit a processor's cache.
+    return jax.lax.map(lambda model: model.position(u, v), models)
+
+
+_positions = Program(_batch)
