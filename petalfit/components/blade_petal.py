@@ -44,15 +44,17 @@ class BladePetal(AbstractDeformedSurface):
     With u ∈ [−½, ½] across, t = 2u, and v ∈ [0, 1] from base to tip:
 
     1. The outline lies in the plane: q = length · width · w(v)(u + skew u²) across and s = length ·
-       (v − tip_edge v²t² + base_edge (1 − v)²t²) along. w rises from `base_width` to 1 at v = `widest`
-       and falls to `tip_width`. On each side it is e + (1 − e)(1 − ξ²)^taper, where e is the width of
-       that end and ξ the distance from the widest place, as a fraction of that side. A taper of ½ gives
-       an ellipse, 1 a parabola, 2 or more a claw or a drawn-out tip.
+       (v − tip_edge v²σ² + base_edge (1 − v)²σ²) along, with σ = 2q/(length · width). An end is thus
+       rounded or notched in proportion to its width, and no two places (u, v) coincide. w rises from
+       `base_width` to 1 at v = `widest` and falls to `tip_width`. On each side it is
+       e + (1 − e)(1 − ξ²)^taper, where e is the width of that end and ξ the distance from the widest
+       place, as a fraction of that side. A taper of ½ gives an ellipse, 1 a parabola, 2 or more a claw
+       or a drawn-out tip.
     2. The midrib bends without stretching: at x = s/length its angle to the base is bend x + 2 bend_shift
        x(x − 1) + tip_roll x⁸ out of the plane and sickle x within it, and the blade turns about it by
        twist x. Bends beyond a right angle are possible.
-    3. Sections across the midrib curve without stretching: at σ = 2q/(length · width) the angle is
-       κ(x)σ + margin_curl σ³ + keel tanh(σ/0.12); κ interpolates `cup_base`, `cup_mid` and `cup_tip`.
+    3. Sections across the midrib curve without stretching: at σ the angle is κ(x)σ + margin_curl σ³ +
+       keel tanh(σ/0.12); κ interpolates `cup_base`, `cup_mid` and `cup_tip`.
     4. With `relief`, heights are added along the unit normal of the bent blade: a midrib, ribs as in
        Eq. 8, and a ruffle of the margin, ruffle t²v cos(2π(ruffle_frequency v + ruffle_phase)).
 
@@ -173,12 +175,12 @@ def profile(
 
 def flat(blade: BladePetal, u: Array, v: Array) -> tuple[Array, Array]:
     """The coordinates q (across) and s (along) of the flat blade: step 1 of `BladePetal`."""
-    t = 2 * u
     ends, tapers = (blade.base_width, blade.tip_width), (blade.base_taper, blade.tip_taper)
     width = profile(v, blade.widest, ends, tapers, jnp)
     q = blade.length * blade.width * width * (u + blade.skew * u**2)
-    s = blade.length * (v - blade.tip_edge * v**2 * t**2 + blade.base_edge * (1 - v) ** 2 * t**2)
-    return jnp.asarray(q), jnp.asarray(s)
+    sigma = 2 * q / (blade.length * blade.width)
+    edges = blade.base_edge * (1 - v) ** 2 - blade.tip_edge * v**2
+    return jnp.asarray(q), jnp.asarray(blade.length * (v + edges * sigma**2))
 
 
 def bent(blade: BladePetal, u: Array, v: Array) -> Array:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 Record = TypeVar("Record", bound="FitRecord")
 FORMAT = "petalfit.FitResult"
-VERSION = 4
+VERSION = 5
 
 
 @dataclasses.dataclass(frozen=True)

@@ -40,14 +40,15 @@ def double_precision():
 
 
 def outline(p, u, v):
-    t = 2 * u
     if v < p.widest:
         xi, end, taper = (p.widest - v) / p.widest, p.base_width, p.base_taper
     else:
         xi, end, taper = (v - p.widest) / (1 - p.widest), p.tip_width, p.tip_taper
     w = end + (1 - end) * ((1 - xi**2 + 0.01) / 1.01) ** taper
     q = p.length * p.width * w * (u + p.skew * u**2)
-    s = p.length * (v - p.tip_edge * v**2 * t**2 + p.base_edge * (1 - v) ** 2 * t**2)
+    sigma = 2 * q / (p.length * p.width)
+    edges = p.base_edge * (1 - v) ** 2 - p.tip_edge * v**2
+    s = p.length * (v + edges * sigma**2)
     return q, s
 
 

@@ -65,7 +65,7 @@ def test_saving_is_lossless(result, tmp_path):
         (b"\x00\xff", "cannot be read"),
         (b"{}", "is not a fit result"),
         (b'{"format": "petalfit.FitResult", "version": 99}', "version 99"),
-        (b'{"format": "petalfit.FitResult", "version": 4, "model": "PeonyPetal"}', "damaged"),
+        (b'{"format": "petalfit.FitResult", "version": 5, "model": "PeonyPetal"}', "damaged"),
     ],
 )
 def test_a_file_that_is_no_result_is_refused(content, match, tmp_path):

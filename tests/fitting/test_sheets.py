@@ -8,6 +8,7 @@ import jax
 import numpy as np
 import pytest
 from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
 
 import petalfit as pf
 from petalfit.fitting.coordinates import Coordinates
@@ -131,13 +132,18 @@ def test_a_blade_is_found_wherever_it_is(posed):
     assert result.converged
     assert result.noise == pytest.approx(NOISE * pose.scale, rel=0.05)
     determined = [name for name in result.names if result.identifiable[name]]
-    assert len(determined) >= 14
+    # How narrow ends are shaped moves hardly any point, so the data need not tell it.
+    ends = {f"{end}_{what}" for end in ("base", "tip") for what in ("width", "taper", "edge")}
+    assert set(determined) >= set(result.names) - ends
     for name in determined:
         error = abs(result.values[name] - getattr(TRUTH, name))
         assert error < 5 * result.stderr[name], name
     assert result.pose.scale == pytest.approx(pose.scale, rel=0.03)
-    turn = pose.rotation.T @ np.asarray(result.pose.rotation)
-    assert np.degrees(np.arccos((np.trace(turn) - 1) / 2)) < 1.5
+    # The turn about x, which a bend near the base can replace, is known to two degrees only.
+    turn = Rotation.from_matrix(pose.rotation.T @ np.asarray(result.pose.rotation)).as_rotvec()
+    for axis, angle in zip("xyz", turn, strict=True):
+        error = result.pose_stderr[f"turn_{axis}"]
+        assert abs(angle) < 4 * error < np.radians(12), axis
     assert result.values["length"] == 10.0
     assert "length" not in result.names
     assert set(result.pose_stderr) == set(pf.components.Posed.similarity)
