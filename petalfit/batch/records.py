@@ -83,7 +83,8 @@ def perform(task: Task) -> dict[str, Any]:
 
 def keep(task: Task, result: FitResult | FitFailure, digest: str, seconds: float) -> dict[str, Any]:
     """Write the outcome of a target, the fit first: a record implies that all files are complete."""
-    record = _record(task.item, result, digest, seconds)
+    with use_folder(task.programs):  # traits are measured with compiled programs
+        record = _record(task.item, result, digest, seconds)
     try:
         task.folder.mkdir(parents=True, exist_ok=True)
         if isinstance(result, FitResult):

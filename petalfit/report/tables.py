@@ -38,9 +38,9 @@ def parameter_table(result: FitRecord, level: float = 0.95) -> str:
     return _parameter_head(level, "in its typical range") + "\n".join(rows) + "\n</tbody></table>"
 
 
-def _parameter_head(level: float, strip: str) -> str:
+def _parameter_head(level: float, strip: str, what: str = "parameter") -> str:
     return (
-        '<table class="parameters"><thead><tr><th scope="col">parameter</th>'
+        f'<table class="parameters"><thead><tr><th scope="col">{what}</th>'
         '<th scope="col" class="value">value ± standard error</th>'
         f'<th scope="col" class="reach">{100 * level:g} % interval</th>'
         '<th scope="col" class="unit">unit</th>'
@@ -93,10 +93,7 @@ def pose_table(result: FitRecord, level: float = 0.95) -> str | None:
         unit, meaning = _POSE[kind]
         shown, reach = f"± {plain(error, 2)}", f"± {plain(quantile(level) * error, 2)}"
         if name in values:
-            rounded, rounded_error = measured(values[name], error)
-            shown = f'{_data(values[name], rounded)} <span class="error">± {rounded_error}</span>'
-            ends = (values[name] + side * quantile(level) * error for side in (-1, 1))
-            reach = " to ".join(fixed(end, decimals_of(error)) for end in ends)
+            shown, reach = _with_error(values[name], error, level)
         rows.append(
             f'<tr class="known"><th scope="row"><code>{name}</code><span class="meaning">'
             f"{meaning.format(axis=axis)}"
@@ -116,13 +113,7 @@ def traits_table(result: FitRecord, level: float = 0.95) -> str | None:
     for name, trait in result.traits.items():
         kind, shown, reach = "fixed", _data(trait.value, plain(trait.value)), "error not known"
         if math.isfinite(trait.stderr) and trait.stderr > 0:
-            kind, decimals = "known", decimals_of(trait.stderr)
-            rounded, rounded_error = measured(trait.value, trait.stderr)
-            shown = f'{_data(trait.value, rounded)} <span class="error">± {rounded_error}</span>'
-            reach = " to ".join(
-                fixed(trait.value + side * quantile(level) * trait.stderr, decimals)
-                for side in (-1, 1)
-            )
+            kind, (shown, reach) = "known", _with_error(trait.value, trait.stderr, level)
         unit = _UNITS.get(trait.unit, trait.unit)
         term = f' <span class="meaning">{trait.term}</span>' if trait.term else ""
         rows.append(
@@ -131,8 +122,16 @@ def traits_table(result: FitRecord, level: float = 0.95) -> str | None:
             f'<td class="value">{shown}</td><td class="reach">{reach}</td>{_unit(unit)}'
             '<td class="strip"></td></tr>'
         )
-    head = _parameter_head(level, strip="").replace(">parameter<", ">trait<")
+    head = _parameter_head(level, strip="", what="trait")
     return f"<h2>Traits</h2>{head}" + "\n".join(rows) + "\n</tbody></table>"
+
+
+def _with_error(value: float, error: float, level: float) -> tuple[str, str]:
+    """A value with its standard error, and its interval, as HTML."""
+    rounded, rounded_error = measured(value, error)
+    ends = (value + side * quantile(level) * error for side in (-1, 1))
+    reach = " to ".join(fixed(end, decimals_of(error)) for end in ends)
+    return f'{_data(value, rounded)} <span class="error">± {rounded_error}</span>', reach
 
 
 def _unit(unit: str) -> str:

@@ -87,8 +87,10 @@ def traits_of(
     if not all(model.edges):
         return {}
     names = () if posterior is None else posterior.names
-    own = [name for name in names if name != "scale"]
-    steps = _STEP * np.sqrt([np.ptp(parameters(model)[name].typical) ** 2 / 12 for name in own])
+    declared = parameters(model)
+    # A last name that is none of the model's is the scale of the pose.
+    own = [name for name in names if name in declared]
+    steps = _STEP * np.array([np.ptp(declared[name].typical) for name in own]) / np.sqrt(12)
     # One sheet as fitted, and for each of its parameters one on either side.
     moved = np.array([value_at(model, name) for name in own], float) * np.ones(
         (1 + 2 * len(own), 1)
@@ -104,7 +106,7 @@ def traits_of(
     found = _all(measures(grids, model.orientation))
     values = found[:, 0]
     slopes = (found[:, 1 : 1 + len(own)] - found[:, 1 + len(own) :]) / (2 * steps)
-    if "scale" in names:
+    if len(own) < len(names):
         powers = [unit.count("unit") * (2 if "²" in unit else 1) for unit, *_ in _DECLARED.values()]
         slopes = np.column_stack([slopes, values * powers])
     errors = np.full(len(values), np.inf)

@@ -1,12 +1,16 @@
 """Traits of fits: values, errors and units."""
 
 import dataclasses
+from typing import ClassVar
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
+from jaxtyping import Array
 
 import petalfit as pf
+from petalfit.surfaces import Scalar, number
 
 PETAL = pf.PeonyPetal()
 
@@ -76,3 +80,20 @@ def test_a_spline_has_values_without_errors():
 
 def test_what_is_no_sheet_has_none():
     assert pf.fit(pf.Cylinder, pf.Cylinder().sample(400, seed=0)).traits == {}
+
+
+class Board(pf.AbstractSurface):
+    """A rectangle twice as long as wide, whose own parameter has the name of a pose's."""
+
+    scale: Scalar = number(3.0, "s", (0.5, 20.0), (1.0, 9.0), "its width")
+    domain: ClassVar[pf.Domain] = pf.Rectangle.domain
+
+    def position(self, u: Array, v: Array) -> Array:
+        return self.scale * jnp.stack([u, 2 * v, 0.1 * u * v], axis=-1)
+
+
+def test_a_parameter_called_scale_is_no_pose():
+    found = pf.fit(Board, Board(scale=4.0).sample(800, seed=0, noise=0.02))
+    assert found.posterior.names == ("scale",)
+    assert found.traits["length"].value == pytest.approx(2 * found.values["scale"], rel=1e-6)
+    assert found.traits["length"].stderr == pytest.approx(2 * found.stderr["scale"], rel=1e-3)

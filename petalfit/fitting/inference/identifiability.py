@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
-from petalfit.components import Parameter, Posed, parameters
+from petalfit.components import Parameter, Posed, bare, parameters
 from petalfit.fitting.solver.iterate import Iterate
 from petalfit.results import CLEAR_LEAD, FitWarning, Posterior, WarningKind
 from petalfit.surfaces import AbstractSurface, value_at
@@ -38,8 +38,7 @@ def known_alone(
     scales = np.outer(spread, spread)
     # With the typical ranges as priors nothing is singular; a standard error of q becomes q/√(1 + q²).
     identity = np.eye(len(names))
-    inverse = np.linalg.inv(end.information * scales + identity)
-    posterior = np.sqrt(np.diag(inverse @ (end.score_covariance * scales + identity) @ inverse))
+    posterior = np.sqrt(np.diag(_sandwich(end, scales, identity)))
     return posterior < DETERMINED / np.sqrt(1 + DETERMINED**2)
 
 
@@ -73,9 +72,16 @@ def covariance(
     spread = typical_spread(names, declared)
     scales = np.outer(spread, spread)
     prior = np.diag(np.where(found, 0.0, 1.0))
-    inverse = np.linalg.inv(ends[0].information * scales + prior)
-    matrix = inverse @ (ends[0].score_covariance * scales + prior) @ inverse
+    matrix = _sandwich(ends[0], scales, prior)
     return np.where(np.outer(found, found), matrix * scales, np.inf), found
+
+
+def _sandwich(
+    end: Iterate, scales: Float[np.ndarray, "p p"], prior: Float[np.ndarray, "p p"]
+) -> Float[np.ndarray, "p p"]:
+    """The covariance under a Gaussian prior, in units of the spreads whose products are `scales`."""
+    inverse = np.linalg.inv(end.information * scales + prior)
+    return inverse @ (end.score_covariance * scales + prior) @ inverse
 
 
 def posterior_of(
@@ -83,13 +89,12 @@ def posterior_of(
 ) -> Posterior:
     """What is known of the parameters of the model and of the scale, with typical ranges as priors."""
     spread = typical_spread(names, declared)
-    scales, identity = np.outer(spread, spread), np.eye(len(names))
-    inverse = np.linalg.inv(end.information * scales + identity)
-    matrix = inverse @ (end.score_covariance * scales + identity) @ inverse * scales
-    placed = set(Posed.similarity) if isinstance(end.model, Posed) else set()
-    own = [k for k, name in enumerate(names) if name not in placed]
+    scales = np.outer(spread, spread)
+    matrix = _sandwich(end, scales, np.eye(len(names))) * scales
+    of_model = parameters(bare(end.model))
+    own = [k for k, name in enumerate(names) if name in of_model]
     factors = np.ones(len(names))
-    if "scale" in placed & set(names):
+    if _has_unknown_scale(end, names):
         # Its error is that of the factor by which it differs from the fitted scale.
         k = list(names).index("scale")
         own, factors[k] = [*own, k], 1 / float(end.model.scale)
