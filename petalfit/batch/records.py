@@ -119,6 +119,7 @@ def _record(
         return record
     first = result.agreements[0]
     identifiable = {name: result.identifiable.get(name) for name in result.values}
+    misfit = result.discrepancy
     return record | {
         "model": type(result.model).__name__,
         "warnings": [warning.to_json() for warning in result.warnings],
@@ -129,6 +130,9 @@ def _record(
         "noise": first.noise,
         "values": result.values,
         "stderr": {n: x if np.isfinite(x) else None for n, x in result.stderr.items()},
+        "stderr_noise": {n: x if np.isfinite(x) else None for n, x in result.stderr_noise.items()},
+        "discrepancy": None if misfit is None else misfit.deviation,
+        "discrepancy_length": None if misfit is None else misfit.length,
         "identifiable": identifiable,
         "traits": {n: trait.value for n, trait in result.traits.items()},
         "trait_stderr": {

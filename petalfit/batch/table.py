@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 TABLE = "table.parquet"
 _TEXT = ("id", "target", "status", "message", "model", "pose", "loss", "version", "input_hash",
          "finished")  # fmt: skip
-_NUMBERS = ("seconds", "rms", "noise", "scale")
+_NUMBERS = ("seconds", "rms", "noise", "discrepancy", "discrepancy_length", "scale")
 
 
 def check_pyarrow() -> None:
@@ -35,11 +35,13 @@ def write_table(records: Sequence[dict[str, Any]], path: Path) -> None:
 
     Columns of every target are id, target, status, converged, message, model, pose, loss, seconds,
     version, input_hash, finished (UTC), warnings (their sentences), warning_kinds (their kinds), data
-    (the number of points, or of places of a contour), outliers, rms, noise, scale, rotation (nine
-    numbers, row by row) and translation (three). Each parameter of each model has three more columns:
-    its name for the value, and its name with `_stderr` (null where the data do not determine it) and
-    with `_identifiable`. Each trait has two: `trait_` and its name, and the same with `_stderr` (null
-    where it is not known); see `petalfit.results.trait`. Values that a target does not have are null.
+    (the number of points, or of places of a contour), outliers, rms, noise, discrepancy and
+    discrepancy_length (the standard deviation and the length of a misfit, null if there is none),
+    scale, rotation (nine numbers, row by row) and translation (three). Each parameter of each model has
+    four more columns: its name for the value, and its name with `_stderr` (null where the data do not
+    determine it), with `_stderr_noise` (what noise alone would make of it) and with `_identifiable`.
+    Each trait has two: `trait_` and its name, and the same with `_stderr` (null where it is not known);
+    see `petalfit.results.trait`. Values that a target does not have are null.
     """
     import pyarrow.parquet
 
@@ -70,6 +72,7 @@ def as_table(records: Sequence[dict[str, Any]]) -> pyarrow.Table:
     for name in _parameter_names(records):
         columns[name] = of_parameter("values", name, pa.float64())
         columns[f"{name}_stderr"] = of_parameter("stderr", name, pa.float64())
+        columns[f"{name}_stderr_noise"] = of_parameter("stderr_noise", name, pa.float64())
         columns[f"{name}_identifiable"] = of_parameter("identifiable", name, pa.bool_())
     for name in dict.fromkeys(x for record in records for x in record.get("traits", ())):
         columns[f"trait_{name}"] = of_parameter("traits", name, pa.float64())

@@ -75,7 +75,7 @@ def with_error(value: float, error: float) -> tuple[str, str]:
 
 
 def fit_table(result: "FitResult", truth: dict[str, float] | None = None) -> Table:
-    """The parameters of a fit with their errors.
+    """The parameters of a fit with their errors, and what noise alone would make of these.
 
     Args:
         result: The result of the fit.
@@ -88,7 +88,9 @@ def fit_table(result: "FitResult", truth: dict[str, float] | None = None) -> Tab
     table = Table(header_style="bold")
     # Long cells are folded, because a number that is cut off would be another number.
     table.add_column("parameter", overflow="fold")
-    numbers = ("value", "± error") if truth is None else ("truth", "value", "± error", "off by")
+    numbers = ["value", "± error"] if truth is None else ["truth", "value", "± error", "off by"]
+    if result.discrepancy is not None:
+        numbers.append("by noise alone")
     for heading in numbers:
         table.add_column(heading, justify="right", overflow="fold")
     table.add_column("unit", overflow="fold")
@@ -104,6 +106,8 @@ def fit_table(result: "FitResult", truth: dict[str, float] | None = None) -> Tab
         known = truth is not None and 0 < error < math.inf
         off = f"{abs(value - truth[name]) / error:.1f} σ" if truth is not None and known else ""
         cells = [name, shown, shown_error, "" if parameter.unit == "1" else parameter.unit]
+        if result.discrepancy is not None:
+            cells[3:3] = [with_error(value, result.stderr_noise.get(name, math.inf))[1]]
         if truth is not None:
             cells[3:3] = [off]
             cells[1:1] = [f"{truth[name]:.6g}"]

@@ -107,9 +107,9 @@ def extras(result: FitRecord) -> dict[str, Any]:
     """The numbers of a fit as plain JSON, for glTF's `extras`.
 
     Returns:
-        petalfit's version, the model's name, `parameters` by name (value, stderr, whether it is
-        free, whether the target determines it), noise, rms, whether the fit converged, and the
-        pose. Numbers that are not finite, and errors of parameters that are not free, are None.
+        petalfit's version, the model's name, `parameters` by name (value, stderr, stderr_noise,
+        whether it is free, whether the target determines it), noise, rms, whether the fit converged,
+        and the pose. Numbers that are not finite, and errors of parameters that are not free, are None.
     """
     free = set(result.names)
     return {
@@ -119,6 +119,7 @@ def extras(result: FitRecord) -> dict[str, Any]:
             name: {
                 "value": _finite(value),
                 "stderr": _finite(result.stderr.get(name, math.inf)),
+                "stderr_noise": _finite(result.stderr_noise.get(name, math.inf)),
                 "free": name in free,
                 "identifiable": result.identifiable.get(name),
             }

@@ -11,12 +11,26 @@ import numpy as np
 from petalfit.components import Parameter, Posed, bare, parameters
 from petalfit.fitting.families.family import AbstractFamily
 from petalfit.fitting.inference import verdict
-from petalfit.fitting.inference.identifiability import combinations, covariance, posterior_of
+from petalfit.fitting.inference.discrepancy import discrepancy_of
+from petalfit.fitting.inference.identifiability import (
+    combinations,
+    covariance,
+    known,
+    posterior_of,
+)
+from petalfit.fitting.inference.linear_rows import rows_of
 from petalfit.fitting.request.request import Request
 from petalfit.fitting.result import FitResult
 from petalfit.fitting.solver.iterate import Iterate
 from petalfit.observations import AbstractObservation
-from petalfit.results import Agreement, FitWarning, Start, WarningKind, standard_errors
+from petalfit.results import (
+    Agreement,
+    Discrepancy,
+    FitWarning,
+    Start,
+    WarningKind,
+    standard_errors,
+)
 from petalfit.surfaces import AbstractSurface, Pose, value_at, with_value
 
 
@@ -41,10 +55,22 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
     source = best.model if finite or isinstance(best.model, Posed) else template
     values = {name: float(value_at(source, name)) for name in declared}
     matrix, found = np.full((len(names), len(names)), np.inf), np.zeros(len(names), bool)
-    posterior = None
+    by_noise, posterior, discrepancy = matrix, None, None
     if finite and names:
-        matrix, found = covariance(ends, names, declared)
-        posterior = posterior_of(best, names, declared)
+        found = known(ends, names, declared)
+        added = None
+        rows = rows_of(best, names, request.cloud) if request.is_one_cloud else None
+        seen = None if rows is None else discrepancy_of(rows)
+        at_end = best
+        if rows is not None and seen is not None:
+            discrepancy, added = seen
+            # The rows belong to the pose in the target's frame, so that the information must too.
+            at_end = dataclasses.replace(
+                best, information=rows.information, score_covariance=rows.information
+            )
+        matrix = covariance(at_end, names, declared, found, added)
+        by_noise = covariance(at_end, names, declared, found)
+        posterior = posterior_of(at_end, names, declared, added)
     identifiable = dict(zip(names, map(bool, found), strict=True))
     bounds = verdict.at_bounds(values, names, declared)
     in_image = isinstance(source, Posed) and request.pose == "known"
@@ -64,7 +90,7 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
         *bounds,
         *verdict.not_determined(identifiable),
         *(combinations(best, names, declared, found) if finite and names else []),
-        *verdict.rival_starts(starts, standard_errors(names, matrix), declared),
+        *verdict.rival_starts(starts, standard_errors(names, by_noise), declared),
         *(w for part in agreements for w in _about(part, bare(best.model), request.noise)),
         *(verdict.systematic(agreements[0], bare(best.model)) if finite else []),
     ]
@@ -78,12 +104,14 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
         }
         own = [k for k, name in enumerate(names) if name not in Posed.similarity]
         names, matrix = tuple(names[k] for k in own), matrix[np.ix_(own, own)]
+        by_noise = by_noise[np.ix_(own, own)]
         values = {name: x for name, x in values.items() if name not in Posed.similarity}
         identifiable = {name: identifiable[name] for name in names}
     elif isinstance(source, Posed):
         pose = source.placement
         warnings.append(_relative(pose))
         values, matrix = _in_pixels(source, names, values, matrix)
+        by_noise = matrix
     model = bare(source)
     for name in parameters(model):
         model = with_value(model, name, values[name])
@@ -102,14 +130,21 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
         reason=reason,
         notes=(
             *(words for part in agreements for words in verdict.outliers(part)),
+            *([] if discrepancy is None else [_allowed_for(discrepancy)]),
             *verdict.symmetries(model),
         ),
         warnings=tuple(warnings),
         steps=best.rounds,
         starts=starts,
         posterior=posterior,
+        stderr_noise=standard_errors(names, by_noise),
+        discrepancy=discrepancy,
         in_image=in_image,
     )
+
+
+def _allowed_for(discrepancy: Discrepancy) -> str:
+    return f"Errors allow for a misfit that {discrepancy.described}."
 
 
 def _declared(model: AbstractSurface, names: Sequence[str]) -> dict[str, Parameter]:

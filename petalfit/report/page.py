@@ -168,6 +168,11 @@ def _table_notes(result: FitRecord) -> str:
             "Errors are one standard deviation, all other free parameters being free; intervals take "
             "them as Gaussian.",
         )
+    if result.discrepancy is not None:
+        notes.append(
+            f"They allow for a misfit, a smooth field that {result.discrepancy.described}; noise alone "
+            "would leave the smaller errors below the values."
+        )
     if not all(result.identifiable.values()):
         notes.append(
             "<strong>Not determined</strong>: the target leaves the parameter an error above 0.3 "

@@ -63,6 +63,9 @@ def _parameter_row(
         decimals = decimals_of(error)
         kind = "known"
         shown = f'{_data(value, rounded)} <span class="error">± {rounded_error}</span>'
+        if result.discrepancy is not None:
+            by_noise = plain(result.stderr_noise[name], 2)
+            shown += f'<span class="note soft">± {by_noise} by noise alone</span>'
         reach = " to ".join(fixed(end, decimals) for end in interval)
     notes = [
         f'<span class="note">{html.escape(warning.about)}</span>'

@@ -1,6 +1,7 @@
 """Everything that a fit.json holds: values, errors, warnings, and the data with their residuals."""
 
 from petalfit.results.agreement import Agreement as Agreement
+from petalfit.results.discrepancy import Discrepancy as Discrepancy
 from petalfit.results.estimate import APART as APART
 from petalfit.results.estimate import CLEAR_LEAD as CLEAR_LEAD
 from petalfit.results.estimate import Estimate as Estimate

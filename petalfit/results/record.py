@@ -17,7 +17,8 @@ from petalfit.observations import TargetError, observation_from_json
 from petalfit.observations.atomic import atomic_path
 from petalfit.results.agreement import Agreement
 from petalfit.results.codec import decode, encode
-from petalfit.results.estimate import Estimate, Start
+from petalfit.results.discrepancy import Discrepancy
+from petalfit.results.estimate import Estimate, Start, rivals
 from petalfit.results.misfit import MisfitMap
 from petalfit.results.profile import Profile
 from petalfit.results.status import Status
@@ -66,6 +67,10 @@ class FitRecord(Estimate):
         profiles: Profile likelihoods by name of the parameter, for those that `with_profile` computed.
         pose_stderr: Standard errors of a fitted pose: turn_x, turn_y and turn_z about the model's axes
             in rad, shift_x, shift_y and shift_z in the target's unit, and scale. Empty if it was known.
+        stderr_noise: Standard errors by name if all of the distances were independent noise. `stderr`
+            allows for a discrepancy too.
+        discrepancy: The smooth part of the distances, which the model cannot follow; None if noise alone
+            explains them, or if it is not estimated (masks, joint fits).
         posterior: What is known of all free parameters together; None if they have no errors.
         in_image: Whether a mask without a camera was fitted. The values then include the place in the
             image: scale, in pixels a unit, and shift_x and shift_y, in pixels.
@@ -80,10 +85,17 @@ class FitRecord(Estimate):
     ranking: tuple[Rank, ...] = ()
     pose_stderr: dict[str, float] = dataclasses.field(default_factory=dict)
     profiles: dict[str, Profile] = dataclasses.field(default_factory=dict)
+    stderr_noise: dict[str, float] = dataclasses.field(default_factory=dict)
+    discrepancy: Discrepancy | None = None
     posterior: Posterior | None = None
     in_image: bool = False
     made_by: str = f"petalfit {PETALFIT}"
     command: str = ""
+
+    @property
+    def rivals(self) -> tuple[Start, ...]:
+        """Other starts that ended elsewhere, almost as well: the data hardly distinguish them."""
+        return rivals(self.starts, self.stderr_noise or self.stderr, self.declared)
 
     @property
     def input_hash(self) -> str:
@@ -217,6 +229,8 @@ class FitRecord(Estimate):
             if field.name not in self._apart
         }
         fields["status"] = str(self.status)
+        if self.discrepancy is not None:
+            fields["discrepancy"] = dataclasses.asdict(self.discrepancy)
         fields["posterior"] = None if self.posterior is None else vars(self.posterior)
         fields["pose"] = dataclasses.asdict(self.pose)
         fields["warnings"] = [warning.to_json() for warning in self.warnings]
@@ -272,6 +286,9 @@ class FitRecord(Estimate):
                 ),
                 "names": tuple(fields["names"]),
                 "covariance": np.array(fields["covariance"], float).reshape(count, count),
+                "discrepancy": None
+                if fields.get("discrepancy") is None
+                else Discrepancy(**fields["discrepancy"]),
                 "posterior": _posterior(fields.get("posterior")),
                 "notes": tuple(fields["notes"]),
                 "warnings": tuple(map(FitWarning.from_json, fields["warnings"])),

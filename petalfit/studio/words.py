@@ -65,6 +65,8 @@ def table(result: FitResult) -> str:
         else:
             rounded, rounded_error = measured(value, error)
             shown, style, note = f"{rounded} ± {rounded_error}", "", ""
+            if result.discrepancy is not None:
+                note = f"± {plain(result.stderr_noise[name], 2)} by noise alone"
         unit = "" if parameter.unit in ("1", "length") else f" {html.escape(parameter.unit)}"
         rows.append(
             f'<tr style="{style}" title="{html.escape(parameter.meaning)}">'

@@ -18,7 +18,7 @@ from petalfit.colours import AbstractPattern, to_linear, to_srgb
 from petalfit.compilation import Program, bucket, pad_to, stage
 from petalfit.components import Parameter, parameters
 from petalfit.fitting.coordinates import Coordinates
-from petalfit.fitting.inference.identifiability import covariance, typical_spread
+from petalfit.fitting.inference.identifiability import covariance, known, typical_spread
 from petalfit.fitting.inference.verdict import at_bounds, not_determined
 from petalfit.fitting.solver.iterate import Iterate
 from petalfit.fitting.solver.observer import report
@@ -383,7 +383,8 @@ def _uncertainty(
 ) -> tuple[Float[np.ndarray, "p p"], dict[str, float], tuple[Start, ...]]:
     """Covariance and errors, infinite for parameters in which rivals differ, and these rivals."""
     names = tuple(starts[0].values)
-    matrix, _ = covariance(settled, names, declared)
+    found = known(settled, names, declared)
+    matrix = covariance(settled[0], names, declared, found)
     stderr = standard_errors(names, matrix)
     close = rivals(starts, stderr, declared)
     for k, name in enumerate(names):

@@ -61,36 +61,59 @@ def known(
 
 
 def covariance(
-    ends: Sequence[Iterate], names: Sequence[str], declared: Mapping[str, Parameter]
-) -> tuple[Float[np.ndarray, "p p"], Bool[np.ndarray, " p"]]:
-    """The covariance of the parameters, and whether each of them is determined.
+    end: Iterate,
+    names: Sequence[str],
+    declared: Mapping[str, Parameter],
+    found: Bool[np.ndarray, " p"],
+    discrepancy: Float[np.ndarray, "p p"] | None = None,
+) -> Float[np.ndarray, "p p"]:
+    """The covariance of the parameters.
 
     Parameters that are not determined have infinite rows and columns. The errors of the others allow for
     them to be anywhere in their typical ranges.
+
+    Args:
+        end: The end.
+        names: Names of the free parameters.
+        declared: Their declarations.
+        found: Whether each of them is determined.
+        discrepancy: What a discrepancy adds to the covariance of the derivative of the cost, if any.
     """
-    found = known(ends, names, declared)
     spread = typical_spread(names, declared)
     scales = np.outer(spread, spread)
     prior = np.diag(np.where(found, 0.0, 1.0))
-    matrix = _sandwich(ends[0], scales, prior)
-    return np.where(np.outer(found, found), matrix * scales, np.inf), found
+    matrix = _sandwich(end, scales, prior, discrepancy)
+    return np.where(np.outer(found, found), matrix * scales, np.inf)
 
 
 def _sandwich(
-    end: Iterate, scales: Float[np.ndarray, "p p"], prior: Float[np.ndarray, "p p"]
+    end: Iterate,
+    scales: Float[np.ndarray, "p p"],
+    prior: Float[np.ndarray, "p p"],
+    discrepancy: Float[np.ndarray, "p p"] | None = None,
 ) -> Float[np.ndarray, "p p"]:
     """The covariance under a Gaussian prior, in units of the spreads whose products are `scales`."""
     inverse = np.linalg.inv(end.information * scales + prior)
-    return inverse @ (end.score_covariance * scales + prior) @ inverse
+    by_noise = inverse @ (end.score_covariance * scales + prior) @ inverse
+    if discrepancy is None:
+        return by_noise
+    # A misfit could move weakly determined parameters beyond all that is usual: here the typical ranges
+    # hold them. They hardly change errors that are small compared with these ranges.
+    by_misfit = inverse @ (discrepancy * scales) @ inverse
+    held = by_misfit @ np.linalg.solve(by_misfit + np.eye(len(by_misfit)), by_misfit)
+    return by_noise + by_misfit - 0.5 * (held + held.T)
 
 
 def posterior_of(
-    end: Iterate, names: Sequence[str], declared: Mapping[str, Parameter]
+    end: Iterate,
+    names: Sequence[str],
+    declared: Mapping[str, Parameter],
+    discrepancy: Float[np.ndarray, "p p"] | None = None,
 ) -> Posterior:
     """What is known of the parameters of the model and of the scale, with typical ranges as priors."""
     spread = typical_spread(names, declared)
     scales = np.outer(spread, spread)
-    matrix = _sandwich(end, scales, np.eye(len(names))) * scales
+    matrix = _sandwich(end, scales, np.eye(len(names)), discrepancy) * scales
     of_model = parameters(bare(end.model))
     own = [k for k, name in enumerate(names) if name in of_model]
     factors = np.ones(len(names))

@@ -19,6 +19,8 @@ class Linearisation(NamedTuple):
         normal: Unit normals, shape (n, 3).
         distance: Signed normal distances d, positive on the normal's side, shape (n,).
         slopes: ∂d/∂t, shape (n, p).
+        edge: ∂e/∂t of the distance e beyond the nearer edge, times the curvature of its likelihood in
+            units of 1/σ², shape (n, p).
         beyond: Distances beyond the nearer u edge and v edge, negative inside, shape (n, 2).
         sigma: Noise, given or estimated from the distances.
         information: Fisher information of t at this noise, shape (p, p): normal distances count by their
@@ -29,6 +31,7 @@ class Linearisation(NamedTuple):
     normal: Float[Array, "n 3"]
     distance: Float[Array, " n"]
     slopes: Float[Array, "n p"]
+    edge: Float[Array, "n p"]
     beyond: Float[Array, "n 2"]
     sigma: Float[Array, ""]
     information: Float[Array, "p p"]
@@ -42,16 +45,21 @@ def linearise(
     here = frame(model, uv)
     distance, beyond = here.distance(data.points), here.beyond(data.points)
     sigma = estimate_sigma(data, distance, len(t))
-    edge = jnp.sum(edge_score(beyond / sigma)[..., None] * here.conormals, axis=1)
+    score = edge_score(beyond / sigma)
+    edge = jnp.sum(score[..., None] * here.conormals, axis=1)
     pulled = pull_back(model, jnp.tile(uv, (2, 1)), -jnp.concatenate([here.normal, edge]))
     slopes = coordinates.gather(pulled) * coordinates.slopes(t)
     rows = slopes * (jnp.sqrt(jnp.tile(data.weights, 2)) / sigma)[:, None]
     information = rows.T @ rows
+    # The second derivative of −log Φ(−e) is h(h − e), with h the first one.
+    excess = jnp.max(score, axis=1) - jnp.max(beyond, axis=1) / sigma
+    bent = jnp.where(jnp.max(score, axis=1) > 0, jnp.maximum(excess, 0.0), 0.0)
     return Linearisation(
         here.position,
         here.normal,
         distance,
         slopes[: len(uv)],
+        slopes[len(uv) :] * bent[:, None],
         beyond,
         sigma,
         information,

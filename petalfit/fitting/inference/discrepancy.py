@@ -1,0 +1,178 @@
+"""Estimation of a discrepancy by restricted likelihood, and what it adds to the errors."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.linalg import eigh, qr
+from scipy.spatial.distance import cdist
+
+from petalfit.results.discrepancy import Discrepancy
+
+# Lengths that are tried, relative to the extent of the surface. The parameters absorb longer fields
+# nearly wholly, and a longer and stronger rough field looks like a shorter one, σ²/ℓ³ being equal.
+_LENGTHS = (0.02, 0.035, 0.06, 0.1, 0.17)
+_STRONG = 2.0  # standard deviation of the prior on the field's own, in root mean square distances
+_RATIOS = 10.0 ** np.linspace(-3, 5, 49)  # of the variances of field and noise
+CELLS = 14  # cells per side of the domain, whose means the field is estimated from
+_FEWEST = 4  # least number of cells for every parameter
+# 2 log likelihood ratio from which on there is a field; by chance, noise alone exceeds it in 1 % of fits.
+_CLEAR = 9.0
+_SUSPECT = 1.0  # standard deviations of the squares of cell means, from which a field is looked for
+_EXACT = 1e-7  # noise, relative to the extent, below which only rounding is left
+
+
+class Rows(NamedTuple):
+    """What the likelihood of a cloud depends on, linearised: one row for each point.
+
+    Attributes:
+        place: Foot points in space, shape (n, 3).
+        cell: The cell of the domain that each foot point lies in, shape (n,).
+        distance: Signed distances, shape (n,).
+        weights: Weights, shape (n,).
+        slopes: Derivatives of the distances by the parameters, shape (n, p).
+        edge: The same of the distances beyond the edge, times the curvature of their likelihood in units
+            of 1/σ², shape (n, p).
+        sigma: The noise that the fit assumed.
+        information: Their Fisher information, if all distances are independent noise, shape (p, p).
+    """
+
+    place: Float[np.ndarray, "n 3"]
+    cell: Int[np.ndarray, " n"]
+    distance: Float[np.ndarray, " n"]
+    weights: Float[np.ndarray, " n"]
+    slopes: Float[np.ndarray, "n p"]
+    edge: Float[np.ndarray, "n p"]
+    sigma: float
+    information: Float[np.ndarray, "p p"]
+
+
+class _Trial(NamedTuple):
+    """One correlation, with the log posterior and the variance of the noise at all of `_RATIOS`."""
+
+    length: float
+    smooth: bool
+    correlation: Float[np.ndarray, "m m"]
+    likelihood: Float[np.ndarray, " k"]
+    noise: Float[np.ndarray, " k"]
+
+
+class _Means(NamedTuple):
+    """Weighted means over cells, and what is left of the squares within cells."""
+
+    place: Float[np.ndarray, "m 3"]
+    distance: Float[np.ndarray, " m"]
+    slopes: Float[np.ndarray, "m p"]
+    edge: Float[np.ndarray, "m p"]
+    total: Float[np.ndarray, " m"]
+    within: float
+    freedom: float
+
+
+def discrepancy_of(
+    rows: Rows,
+) -> tuple[Discrepancy, Float[np.ndarray, "p p"]] | None:
+    """The likeliest discrepancy, and the covariance that it adds to the derivative of the cost.
+
+    None if noise alone explains the distances, or if there are too few cells to tell.
+    """
+    means = _means(rows)
+    m, p = means.slopes.shape
+    if m < _FEWEST * p:
+        return None
+    root = np.sqrt(means.total)
+    extent = float(np.linalg.norm(np.ptp(means.place, axis=0)))
+    if rows.sigma < _EXACT * extent or not _is_suspect(means):
+        return None
+    # What the parameters cannot absorb: the complement of the columns of the slopes.
+    scaled = root[:, None] * means.slopes
+    used = np.linalg.norm(scaled, axis=0) > 0
+    whole = np.asarray(qr(scaled[:, used])[0])
+    rest = whole[:, np.count_nonzero(used) :]
+    left = rest.T @ (root * means.distance)
+    apart = cdist(means.place, means.place)
+    alone, _ = _none(left, means)
+    trials: list[_Trial] = []
+    for length in _LENGTHS:
+        for smooth in (True, False):
+            correlation = _correlation(apart / (length * extent), smooth)
+            kernel = rest.T @ (root[:, None] * correlation * root) @ rest
+            likelihood, noise = _restricted(kernel, left, means)
+            strength = noise * _RATIOS / (_STRONG * rows.sigma) ** 2
+            trial = _Trial(length * extent, smooth, correlation, likelihood - strength / 2, noise)
+            trials.append(trial)
+    highest = max(trial.likelihood.max() for trial in trials)
+    if 2 * (highest - alone) < _CLEAR:
+        return None
+    # The likelihood hardly tells a long and weak field from a short and strong one: all are averaged.
+    parts = [np.exp(trial.likelihood - highest) for trial in trials]
+    total = sum(float(part.sum()) for part in parts)
+    field = sum(
+        float(part @ (trial.noise * _RATIOS)) / total * trial.correlation
+        for part, trial in zip(parts, trials, strict=True)
+    )
+    pulls = means.total[:, None] * np.hstack([means.slopes, means.edge]) / rows.sigma**2
+    both = pulls.T @ field @ pulls
+    # The field moves points along the normal and within the surface, independently of each other.
+    added = both[:p, :p] + both[p:, p:]
+    best = max(trials, key=lambda trial: trial.likelihood.max())
+    k = int(np.argmax(best.likelihood))
+    deviation, noise = np.sqrt(best.noise[k] * _RATIOS[k]), np.sqrt(best.noise[k])
+    return Discrepancy(float(deviation), best.length, float(noise), best.smooth), added
+
+
+def _is_suspect(means: _Means) -> bool:
+    """Whether the squares of the cells' means are more than noise makes them: a quick first look."""
+    count, (m, p) = means.freedom, means.slopes.shape
+    if not count or not means.within:
+        return False
+    squares = float(np.sum(means.total * means.distance**2)) / (means.within / count)
+    return bool(squares > m - p + _SUSPECT * np.sqrt(2 * m))
+
+
+def _means(rows: Rows) -> _Means:
+    cells, cell = np.unique(rows.cell[rows.weights > 0], return_inverse=True)
+    some = rows.weights > 0
+    weights = rows.weights[some]
+    total = np.bincount(cell, weights, len(cells))
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        columns = np.reshape(values[some], (len(weights), -1)).T
+        sums = [np.bincount(cell, weights * column, len(cells)) for column in columns]
+        return np.stack(sums, axis=-1) / total[:, None]
+
+    distance = mean(rows.distance)[:, 0]
+    within = float(np.sum(weights * (rows.distance[some] - distance[cell]) ** 2))
+    freedom = max(float(np.sum(weights)) - len(cells), 0.0)
+    return _Means(
+        mean(rows.place), distance, mean(rows.slopes), mean(rows.edge), total, within, freedom
+    )
+
+
+def _correlation(apart: Float[np.ndarray, "m m"], smooth: bool) -> Float[np.ndarray, "m m"]:
+    """Correlations at distances in units of the length."""
+    if smooth:
+        return np.exp(-0.5 * apart**2)
+    reach = np.sqrt(3.0) * apart
+    return (1 + reach) * np.exp(-reach)
+
+
+def _none(left: np.ndarray, means: _Means) -> tuple[float, float]:
+    """Restricted log likelihood and variance of noise without a field."""
+    count = means.freedom + len(left)
+    noise = (means.within + float(left @ left)) / count
+    return -0.5 * count * float(np.log(noise)), noise
+
+
+def _restricted(
+    kernel: Float[np.ndarray, "r r"], left: np.ndarray, means: _Means
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """Restricted log likelihood and variance of the noise for every ratio of the variances."""
+    values, vectors = eigh(kernel)
+    squares = (vectors.T @ left) ** 2
+    grown = 1 + _RATIOS[:, None] * np.maximum(values, 0.0)
+    count = means.freedom + len(left)
+    noise = (means.within + np.sum(squares / grown, axis=1)) / count
+    return -0.5 * count * np.log(noise) - 0.5 * np.sum(np.log(grown), axis=1), noise
