@@ -1,12 +1,12 @@
 """`petalfit fit`: a fit of files, which gives named parameters, a mesh and a report."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, UseAppendAction, arg
 
 from petalfit.cli.options import Quiet, require_noise, require_seed
-from petalfit.cli.status import NOT_CONVERGED, SUCCESS, require
+from petalfit.cli.status import NOT_CONVERGED, SUCCESS, CommandError, require
 
 if TYPE_CHECKING:
     from petalfit.observations import Camera, PointCloud, Silhouette
@@ -85,6 +85,15 @@ Noise = Annotated[
         help="Standard deviation of the noise of the points, in their unit; estimated if not given.",
     ),
 ]
+BaseOption = Annotated[
+    str | None,
+    arg(
+        name="base",
+        metavar="X,Y,Z",
+        help="A point near the base, in the frame of the cloud, or `other`: the end that the fit would "
+        "take for the tip. For blades with --pose rigid or similarity, whose ends may look alike.",
+    ),
+]
 Profiles = Annotated[
     UseAppendAction[tuple[str, ...]],
     arg(
@@ -107,6 +116,7 @@ def fit(
     noise: Noise = None,
     profile: Profiles = (),
     seed: Seed = 0,
+    base: BaseOption = None,
     quiet: Quiet = False,
 ) -> int:
     """Recover the parameters of a petal from scans and silhouettes."""
@@ -129,7 +139,7 @@ def fit(
     from petalfit.fitting.outliers.registry import loss_named
 
     check_folder(out)
-    kind = kind_of(model)
+    kind, place = kind_of(model), _base(base)
     loss_named(loss)
     with progress(quiet) as show:
         show(f"reading {', '.join(map(str, targets))}")
@@ -147,6 +157,7 @@ def fit(
                 init=None if init is None else FitResult.load(init).model,
                 noise=noise,
                 seed=seed,
+                base=place,
                 throw=False,
                 progress=lambda text: show(text + again),
             )
@@ -208,3 +219,16 @@ def names_of(free: tuple[str, ...]) -> list[str] | None:
     if not free:
         return None
     return [name for text in free for name in text.replace(",", " ").split()]
+
+
+def _base(text: str | None) -> Any:
+    """The value of --base: a point, "other" or None."""
+    if text is None or text == "other":
+        return text
+    try:
+        x, y, z = map(float, text.split(","))
+    except ValueError:
+        raise CommandError(
+            f"--base {text} is no place; write --base 0.5,0,-2, or --base other."
+        ) from None
+    return x, y, z

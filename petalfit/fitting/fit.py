@@ -11,7 +11,7 @@ from typing import Any, Literal, overload
 
 import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Real
 
 from petalfit.colours import AbstractPattern, from_hex
 from petalfit.compilation import stage
@@ -27,7 +27,7 @@ from petalfit.fitting.request.request import Request
 from petalfit.fitting.request.targets import as_targets, with_noise_of_points
 from petalfit.fitting.result import FitResult
 from petalfit.fitting.run import run
-from petalfit.fitting.solver.observer import prefixed, reporting_to
+from petalfit.fitting.solver.observer import prefixed, report, reporting_to
 from petalfit.fitting.summary import summarise
 from petalfit.observations import (
     IMAGE_SUFFIXES,
@@ -40,6 +40,7 @@ from petalfit.observations import (
 from petalfit.surfaces import AbstractSurface
 
 Noise = float | Sequence[float] | Float[np.ndarray, " n"] | None
+Base = str | Sequence[float | int] | Real[np.ndarray, " n"] | None
 
 
 def fit_petal(
@@ -90,6 +91,7 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
     noise: Noise = None,
     loss: str = "linear",
     seed: int = 0,
+    base: Base = None,
     throw: bool = True,
     progress: Callable[[str], None] | None = None,
     surface: type[AbstractSurface] | AbstractSurface | FitResult | None = None,
@@ -119,6 +121,9 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
             be outliers or clutter. Each point then counts by the probability that it belongs to the
             surface, which is in the result's weights.
         seed: The seed of random choices; the result hardly depends on it.
+        base: Which end of a blade is its base, if its pose is fitted: a point near it, in the cloud's
+            frame, or "other", the end that the fit would take for the tip. Without it, the end for which
+            the blade fits better.
         throw: Whether to raise `FitError` if the solver fails; else `converged` of the result is False.
         progress: A function that is called with a line of text whenever a stage of the fit begins.
         surface: For a pattern and a cloud, the surface of the cloud: a class, which is fitted first, an
@@ -134,7 +139,7 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
         TargetError: The target cannot be used, or the options do not fit the model.
         FitError: The solver failed, and `throw` is True.
     """
-    check_request(model, pose=pose, loss=loss, free=free, init=init, noise=noise)
+    check_request(model, pose=pose, loss=loss, free=free, init=init, noise=noise, base=base)
     sigma = checks.valid_noise(noise)
     with reporting_to(progress) as seconds:
         if is_pattern(model):
@@ -142,6 +147,7 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
                 "pose": pose != "known",
                 "loss": loss != "linear",
                 "camera": camera is not None,
+                "base": base is not None,
             }
             checks.refuse("a pattern", [name for name, given in unused.items() if given])
             if isinstance(sigma, np.ndarray):
@@ -162,9 +168,19 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
             checks.refuse("a component", [name for name, given in unused.items() if given])
             targets, sigma = with_noise_of_points(as_targets(target, camera), sigma)
             asked = {"pose": pose, "loss": loss_named(loss), "noise": sigma, "seed": seed}
+            if base is not None and (len(targets) > 1 or targets[0].kind != "cloud"):
+                raise TargetError(
+                    "base is there for one cloud; leave it out for masks and joint fits."
+                )
             if isinstance(model, str):
                 result = _fit_best(targets, asked)
+            elif isinstance(base, str):
+                report("the fit whose tip will be the base")
+                turned = _fit_component(model, targets, free, init, asked)  # pyright: ignore[reportArgumentType]
+                asked["base"] = tip_of(turned)
+                result = _fit_component(model, targets, free, init, asked)  # pyright: ignore[reportArgumentType]
             else:
+                asked["base"] = checks.valid_base(base)
                 result = _fit_component(model, targets, free, init, asked)  # pyright: ignore[reportArgumentType]
     result = dataclasses.replace(result, timings=dict(seconds))
     if throw and not result.converged:
@@ -180,6 +196,7 @@ def check_request(
     free: Iterable[str] | None,
     init: Fittable | None,
     noise: Noise,
+    base: Base = None,
 ) -> None:
     """Checks all options of a fit that can be checked before its target is read.
 
@@ -191,7 +208,13 @@ def check_request(
     checks.check_pose_name(pose)
     loss_named(loss)
     checks.valid_noise(noise)
+    checks.valid_base(base)
+    if base is not None and pose == "known":
+        raise TargetError(
+            "with pose='known' the model's frame says where the base is; leave base out, or fit the pose."
+        )
     if isinstance(model, str):
+        checks.refuse("the best of all families", [] if base is None else ["base"])
         if model != "auto" or free is not None or init is not None:
             raise TargetError(
                 f"model={model!r} takes neither free nor init; only 'auto' has a name."
@@ -199,9 +222,17 @@ def check_request(
         return
     template, _ = configuration(model, free, init)
     if not is_pattern(model):
-        given = {"free": free, "init": init, "noise": noise}
+        given = {"free": free, "init": init, "noise": noise, "base": base}
         names = [name for name, value in given.items() if value is not None]
         checks.check_used(family_of(template), names)  # pyright: ignore[reportArgumentType]
+
+
+def tip_of(result: FitResult) -> tuple[float, float, float]:
+    """The place in the target's frame that a fit takes for the tip: in the middle of the upper v side."""
+    (u_low, u_high), (_, v_high) = result.model.domain
+    tip = np.asarray(result.model(0.5 * (u_low + u_high), v_high), np.float64)
+    x, y, z = result.pose(tip[None])[0].tolist()
+    return x, y, z
 
 
 def is_pattern(model: object) -> bool:

@@ -71,6 +71,7 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
         matrix = covariance(at_end, names, declared, found, added)
         by_noise = covariance(at_end, names, declared, found)
         posterior = posterior_of(at_end, names, declared, added)
+    inflation = 1.0 if discrepancy is None else discrepancy.inflation
     identifiable = dict(zip(names, map(bool, found), strict=True))
     bounds = verdict.at_bounds(values, names, declared)
     in_image = isinstance(source, Posed) and request.pose == "known"
@@ -90,7 +91,7 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
         *bounds,
         *verdict.not_determined(identifiable),
         *(combinations(best, names, declared, found) if finite and names else []),
-        *verdict.rival_starts(starts, standard_errors(names, by_noise), declared),
+        *verdict.rival_starts(starts, standard_errors(names, matrix), declared, inflation),
         *(w for part in agreements for w in _about(part, bare(best.model), request.noise)),
         *(verdict.systematic(agreements[0], bare(best.model)) if finite else []),
     ]

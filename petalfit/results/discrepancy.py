@@ -18,12 +18,15 @@ class Discrepancy:
         length: Distance over which it is correlated, in the target's unit.
         noise: Standard deviation of the independent noise, in the target's unit.
         smooth: Whether its correlation is Gaussian; else that of Matérn with ν = 3/2, which is rougher.
+        inflation: How many times as large the variances of the parameters are with the field as without
+            it, on average. A difference of χ² between two ends counts by this much less.
     """
 
     deviation: float
     length: float
     noise: float
     smooth: bool
+    inflation: float
 
     @property
     def share(self) -> float:

@@ -39,12 +39,16 @@ class Start:
 
 
 def rivals(
-    starts: tuple[Start, ...], stderr: Mapping[str, float], declared: Mapping[str, Parameter]
+    starts: tuple[Start, ...],
+    stderr: Mapping[str, float],
+    declared: Mapping[str, Parameter],
+    inflation: float = 1.0,
 ) -> tuple[Start, ...]:
     """The starts that ended almost as well as the first, and elsewhere.
 
     "Elsewhere" means at least three standard errors away in a parameter that is determined, or a part of
-    the typical range away in one that is not.
+    the typical range away in one that is not. Differences of χ² are divided by `inflation`, because a
+    misfit makes them too large (Rotnitzky and Jewell 1990).
     """
 
     def apart(start: Start, name: str) -> float:
@@ -56,7 +60,8 @@ def rivals(
     return tuple(
         start
         for start in starts[1:]
-        if start.delta_chi2 < CLEAR_LEAD and max(apart(start, name) for name in stderr) > APART
+        if start.delta_chi2 < CLEAR_LEAD * inflation
+        and max(apart(start, name) for name in stderr) > APART
     )
 
 

@@ -95,7 +95,8 @@ class FitRecord(Estimate):
     @property
     def rivals(self) -> tuple[Start, ...]:
         """Other starts that ended elsewhere, almost as well: the data hardly distinguish them."""
-        return rivals(self.starts, self.stderr_noise or self.stderr, self.declared)
+        inflation = 1.0 if self.discrepancy is None else self.discrepancy.inflation
+        return rivals(self.starts, self.stderr, self.declared, inflation)
 
     @property
     def input_hash(self) -> str:

@@ -69,6 +69,10 @@ class PetalControls:
                     hint="; ".join(f"{loss.name}: {loss.meaning}" for loss in LOSSES.values()),
                 )  # fmt: skip
                 self.go = gui.add_button("Fit", color="teal", icon=viser.Icon.PLAYER_PLAY)
+                self.turn = gui.add_button(
+                    "Exchange base and tip", icon=viser.Icon.ARROWS_EXCHANGE, visible=False,
+                    hint="Fits again, with the other end as the base",
+                )  # fmt: skip
                 self.stop = gui.add_button("Cancel", icon=viser.Icon.X, visible=False)
                 self.state = gui.add_html("")
             with gui.add_folder("Result", visible=False) as self.found:

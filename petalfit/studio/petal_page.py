@@ -11,7 +11,7 @@ import numpy as np
 
 from petalfit.components import Posed, models, parameters
 from petalfit.export.mesh import export_glb
-from petalfit.fitting import DEFAULT, FOR_SCANS, FitResult, family_of, fit_petal
+from petalfit.fitting import DEFAULT, FOR_SCANS, FitResult, family_of, fit_petal, tip_of
 from petalfit.fitting.coordinates import in_doubles
 from petalfit.fitting.solver.observer import Glimpse, looking_on
 from petalfit.observations import AbstractObservation, Camera, Silhouette, TargetError
@@ -60,6 +60,7 @@ class PetalPage:
         controls.case.on_update(reacting(lambda _: self.open_case()))
         controls.again.on_click(reacting(lambda _: self._cut_again()))
         controls.go.on_click(reacting(lambda _: self._fit()))
+        controls.turn.on_click(reacting(lambda _: self._fit_turned()))
         controls.stop.on_click(lambda _: self._cancel())
         controls.start.on_update(reacting(lambda _: self._show_start()))
         for name, button in controls.files.items():
@@ -139,12 +140,18 @@ class PetalPage:
         self.draw()
 
     def _hide_result(self) -> None:
-        for part in (self._controls.found, self._controls.numbers, self._controls.key):
+        found = self._controls
+        for part in (found.found, found.numbers, found.key, found.turn):
             part.visible = False
 
     # The fit.
 
-    def _fit(self) -> None:
+    def _fit_turned(self) -> None:
+        """Fits again, with the tip of the last result as the base."""
+        assert self._result is not None, "the button shows with a result"
+        self._fit(base=tip_of(self._result))
+
+    def _fit(self, base: tuple[float, float, float] | None = None) -> None:
         if self._session.busy and self._result is None:
             raise TargetError("a fit is running; wait for it, or cancel it first.")
         target = self._target
@@ -154,6 +161,7 @@ class PetalPage:
             "model": kind if kind == "auto" else models()[kind],
             "pose": self._controls.pose.value,
             "loss": self._controls.loss.value,
+            "base": base,
         }
         self._history, self._costs, self._result, self._model = [], [], None, None
         self._hide_result()
@@ -255,6 +263,9 @@ class PetalPage:
         self._controls.start.options = [FITTED, *_ends(result)]
         self._controls.start.value = FITTED
         self._controls.found.visible = self._controls.numbers.visible = True
+        # An end that is the base by mistake can be the tip only where the pose was fitted.
+        may_turn = "base" in family_of(result.model).takes and result.pose_stderr
+        self._controls.turn.visible = bool(may_turn)
         self._add_sliders(result.model)
         self._add_rounds()
         part = result.agreements[0]

@@ -92,6 +92,7 @@ class OpenSurfaceFamily(AbstractFamily):
     """
 
     poses: ClassVar[tuple[str, ...]] = POSES
+    takes: ClassVar[frozenset[str]] = AbstractFamily.takes | {"base"}
     held_at_first: ClassVar[tuple[str, ...]] = ()
 
     @abc.abstractmethod
@@ -138,7 +139,10 @@ class OpenSurfaceFamily(AbstractFamily):
             report("flattening the cloud")
             redundant = self.gauges.get(request.pose, ())
             free = tuple(name for name in request.free if name not in redundant)
-            found = self.starts(request.template, free, sheets[:_SOME], request.pose)[:_FOLLOWED]
+            every = self.starts(request.template, free, sheets[:_SOME], request.pose)
+            if request.base is not None:
+                every = _with_base_near(every, frame.into(np.array([request.base]))[0])
+            found = every[:_FOLLOWED]
             starts = [(start.label, start.posed(request.pose)) for start in found]
         some = masses[:_ROUGHLY]
         rough = Descent.of(sheets[:_ROUGHLY], some, scan.noise, np.ones(len(some)))
@@ -179,6 +183,24 @@ class OpenSurfaceFamily(AbstractFamily):
             return end
         end = dataclasses.replace(end, model=frame.back(end.model))
         return self.standard_form(end, names)
+
+
+def _with_base_near(
+    starts: Sequence[CloudStart], place: Float[np.ndarray, "3"]
+) -> Sequence[CloudStart]:
+    """Of starts in a fitted pose, those whose base is the nearest to a place.
+
+    The base is the middle of the side where v is least.
+    """
+
+    def away(start: CloudStart) -> float:
+        (u_low, u_high), (v_low, _) = start.model.domain
+        base = np.asarray(start.model(0.5 * (u_low + u_high), v_low))
+        there = start.scale * start.rotation @ base + start.translation
+        return float(np.linalg.norm(there - place))
+
+    nearest = min(map(away, starts))
+    return [start for start in starts if away(start) <= nearest]
 
 
 def _descended(

@@ -120,7 +120,10 @@ def discrepancy_of(
     best = max(trials, key=lambda trial: trial.likelihood.max())
     k = int(np.argmax(best.likelihood))
     deviation, noise = np.sqrt(best.noise[k] * _RATIOS[k]), np.sqrt(best.noise[k])
-    return Discrepancy(float(deviation), best.length, float(noise), best.smooth), added
+    inverse = np.linalg.pinv(rows.information, rcond=1e-10, hermitian=True)
+    inflation = 1 + float(np.trace(inverse @ added)) / p
+    found = Discrepancy(float(deviation), best.length, float(noise), best.smooth, inflation)
+    return found, added
 
 
 def _is_suspect(means: _Means) -> bool:

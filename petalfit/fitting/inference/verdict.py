@@ -120,10 +120,14 @@ def flips(best: Iterate) -> list[FitWarning]:
 
 
 def rival_starts(
-    starts: tuple[Start, ...], stderr: Mapping[str, float], declared: Mapping[str, Parameter]
+    starts: tuple[Start, ...],
+    stderr: Mapping[str, float],
+    declared: Mapping[str, Parameter],
+    inflation: float = 1.0,
 ) -> list[FitWarning]:
-    """A warning that names the rivals, if there are any."""
-    found = [f"{s.label} (Δχ² {s.delta_chi2:.1f})" for s in rivals(starts, stderr, declared)]
+    """A warning that names the rivals, if there are any; see `rivals` for the inflation."""
+    close = rivals(starts, stderr, declared, inflation)
+    found = [f"{s.label} (Δχ² {s.delta_chi2 / inflation:.1f})" for s in close]
     text = f"almost as good: {', '.join(found)}"
     return [FitWarning(text, WarningKind.RIVALS)] if found else []
 

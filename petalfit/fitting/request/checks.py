@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Real
 
 from petalfit.components import Posed, parameters
 from petalfit.fitting.outliers.loss import AbstractLoss
@@ -37,6 +37,21 @@ def valid_noise(
             f"noise must be a positive length, one for each point, or None; received {noise}"
         )
     return sigma if sigma.ndim else float(sigma)
+
+
+def valid_base(
+    base: str | Sequence[float | int] | Real[np.ndarray, " n"] | None,
+) -> tuple[float, float, float] | None:
+    """The point near the base; None if there is none, or if it is the other end that is asked for."""
+    if base is None or (isinstance(base, str) and base == "other"):
+        return None
+    place = None if isinstance(base, str) else np.asarray(base, np.float64)
+    if place is None or place.shape != (3,) or not np.isfinite(place).all():
+        raise ValueError(
+            f"base must be a point (x, y, z) near the base, or 'other'; received {base!r}"
+        )
+    x, y, z = place.tolist()
+    return x, y, z
 
 
 def refuse(what: str, unused: Sequence[str]) -> None:

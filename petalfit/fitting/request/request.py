@@ -28,6 +28,8 @@ class Request:
         noise: σ of the clouds' noise; None to estimate it.
         from_template: Whether to start at the template instead of searching for a start.
         seed: The seed of random choices.
+        base: A point near the base of the petal, in the targets' frame; None if it is not known which end
+            is the base.
         placed: For a mask without a camera, the scale and the shifts to start from, in pixels.
         ends_only: Whether to leave out the correction of the bias and the errors, which take long for
             silhouettes.
@@ -41,6 +43,7 @@ class Request:
     noise: float | None = None
     from_template: bool = False
     seed: int = 0
+    base: tuple[float, float, float] | None = None
     placed: Mapping[str, float] = dataclasses.field(default_factory=dict)
     ends_only: bool = False
 
