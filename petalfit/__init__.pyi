@@ -57,6 +57,7 @@ from .observations import read_cameras as read_cameras
 from .observations import read_transforms as read_transforms
 from .results import Agreement as Agreement
 from .results import Discrepancy as Discrepancy
+from .results import Draws as Draws
 from .results import FitWarning as FitWarning
 from .results import Profile as Profile
 from .results import Status as Status

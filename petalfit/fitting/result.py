@@ -6,9 +6,11 @@ import dataclasses
 import os
 from collections.abc import Callable
 
+from petalfit.fitting.inference.importance import draws_of
 from petalfit.fitting.profile import profile_of
+from petalfit.observations import TargetError
 from petalfit.report import write_report
-from petalfit.results import FitRecord
+from petalfit.results import Draws, FitRecord
 
 
 class FitResult(FitRecord):
@@ -17,6 +19,27 @@ class FitResult(FitRecord):
     def report(self, path: str | os.PathLike[str]) -> None:
         """Write one self-contained HTML page with the parameter table and pictures."""
         write_report(self, path)
+
+    def draws(self, n: int = 1000, seed: int = 0) -> Draws:
+        """Draws of the free parameters from their posterior, with the typical ranges as priors.
+
+        They are drawn from the Gaussian approximation inside the bounds, and for one cloud without a
+        discrepancy drawn again with Pareto-smoothed importance weights, so that they follow the
+        likelihood. Read `k_hat`.
+
+        Args:
+            n: The number of draws.
+            seed: The seed of the random choices.
+
+        Raises:
+            TargetError: No parameter was free, or the fit has no errors.
+            ValueError: `n` is not positive.
+        """
+        if n < 1:
+            raise ValueError(f"n must be a positive number of draws; received {n}")
+        if self.posterior is None or not self.posterior.names:
+            raise TargetError("this fit has no errors to draw parameters from.")
+        return draws_of(self, n, seed)
 
     def with_profile(
         self, name: str, points: int = 11, progress: Callable[[str], None] | None = None

@@ -18,7 +18,7 @@ from petalfit.fitting.inference.identifiability import (
     known,
     posterior_of,
 )
-from petalfit.fitting.inference.linear_rows import rows_of
+from petalfit.fitting.inference.linear_rows import may_have_misfit, rows_of
 from petalfit.fitting.request.request import Request
 from petalfit.fitting.result import FitResult
 from petalfit.fitting.solver.iterate import Iterate
@@ -59,11 +59,14 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
     if finite and names:
         found = known(ends, names, declared)
         added = None
-        rows = rows_of(best, names, request.cloud) if request.is_one_cloud else None
-        seen = None if rows is None else discrepancy_of(rows)
+        suspect = request.is_one_cloud and may_have_misfit(best, len(names))
+        turned = request.is_one_cloud and request.pose != "known"
+        rows = rows_of(best, names, request.cloud) if suspect or turned else None
+        seen = discrepancy_of(rows) if suspect and rows is not None else None
         at_end = best
-        if rows is not None and seen is not None:
+        if seen is not None:
             discrepancy, added = seen
+        if rows is not None and (seen is not None or turned):
             # The rows belong to the pose in the target's frame, so that the information must too.
             at_end = dataclasses.replace(
                 best, information=rows.information, score_covariance=rows.information

@@ -2,6 +2,7 @@
 
 from petalfit.results.agreement import Agreement as Agreement
 from petalfit.results.discrepancy import Discrepancy as Discrepancy
+from petalfit.results.draws import Draws as Draws
 from petalfit.results.estimate import APART as APART
 from petalfit.results.estimate import CLEAR_LEAD as CLEAR_LEAD
 from petalfit.results.estimate import Estimate as Estimate

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import jax
 import numpy as np
@@ -19,6 +20,7 @@ from petalfit.surfaces import (
     with_value,
 )
 
+_AT_ONCE = 100  # sheets that are measured together, because of memory
 _STEP = 1e-4  # step of the central differences, in standard deviations of a typical range
 # Unit ("unit" for the target's unit of length), meaning, and identifier in the Plant Ontology or the
 # Plant Trait Ontology, where there is one.
@@ -65,8 +67,9 @@ class Posterior:
     quantity that they determine gets its error although its parameters do not.
 
     Attributes:
-        names: Names of the free parameters of the model, followed by "scale" if that of the pose is free.
-        covariance: Their covariance, shape (q, q); that of the scale is relative.
+        names: Names of the free parameters, of the model and then of its pose.
+        covariance: Their covariance, shape (q, q). A scale counts relative to the fitted one, shifts in
+            units of `Posed`, turns in rad.
     """
 
     names: tuple[str, ...]
@@ -88,8 +91,8 @@ def traits_of(
         return {}
     names = () if posterior is None else posterior.names
     declared = parameters(model)
-    # A last name that is none of the model's is the scale of the pose.
     own = [name for name in names if name in declared]
+    sizing = [*own, *(name for name in names if name == "scale" and name not in declared)]
     steps = _STEP * np.array([np.ptp(declared[name].typical) for name in own]) / np.sqrt(12)
     # One sheet as fitted, and for each of its parameters one on either side.
     moved = np.array([value_at(model, name) for name in own], float) * np.ones(
@@ -97,27 +100,63 @@ def traits_of(
     )
     moved[1 : 1 + len(own)] += np.diag(steps)
     moved[1 + len(own) :] -= np.diag(steps)
-    batch = jax.tree.map(lambda x: np.broadcast_to(x, (len(moved), *np.shape(x))), model)
-    for k, name in enumerate(own):
-        batch = with_value(batch, name, moved[:, k])
-    u, v = nodes(model.domain)
-    with jax.enable_x64(True):
-        grids = scale * np.asarray(_positions(batch, u, v), float)
-    found = _all(measures(grids, model.orientation))
+    found = _measured(model, own, moved, scale * np.ones(len(moved)))
     values = found[:, 0]
     slopes = (found[:, 1 : 1 + len(own)] - found[:, 1 + len(own) :]) / (2 * steps)
-    if len(own) < len(names):
+    if len(own) < len(sizing):
         powers = [unit.count("unit") * (2 if "²" in unit else 1) for unit, *_ in _DECLARED.values()]
         slopes = np.column_stack([slopes, values * powers])
     errors = np.full(len(values), np.inf)
     if posterior is not None:
-        errors = np.sqrt(np.sum((slopes @ posterior.covariance) * slopes, axis=-1))
+        which = [names.index(name) for name in sizing]
+        covariance = posterior.covariance[np.ix_(which, which)]
+        errors = np.sqrt(np.sum((slopes @ covariance) * slopes, axis=-1))
     return {
         name: Trait(float(value), float(error), unit.replace("unit", length), meaning, term)
         for (name, (unit, meaning, term)), value, error in zip(
             _DECLARED.items(), values, errors, strict=True
         )
     }
+
+
+def traits_of_many(
+    model: AbstractSurface,
+    names: Sequence[str],
+    values: Float[np.ndarray, "k p"],
+    scales: Float[np.ndarray, " k"],
+) -> dict[str, Float[np.ndarray, " k"]]:
+    """The values of the traits of many sheets; none for a surface that is closed in a direction.
+
+    Args:
+        model: A model with the values of all other parameters.
+        names: Names of the parameters that differ between the sheets.
+        values: Their values, a row for each sheet.
+        scales: The length of each model's unit in the target's.
+    """
+    if not all(model.edges):
+        return {}
+    parts = [
+        _measured(model, names, values[k : k + _AT_ONCE], scales[k : k + _AT_ONCE])
+        for k in range(0, len(values), _AT_ONCE)
+    ]
+    return dict(zip(_DECLARED, np.concatenate(parts, axis=1), strict=True))
+
+
+def _measured(
+    model: AbstractSurface,
+    names: Sequence[str],
+    values: Float[np.ndarray, "k p"],
+    scales: Float[np.ndarray, " k"],
+) -> Float[np.ndarray, "t k"]:
+    """All traits of sheets that differ in some parameters."""
+    count = len(values)
+    batch = jax.tree.map(lambda x: np.broadcast_to(x, (count, *np.shape(x))), model)
+    for k, name in enumerate(names):
+        batch = with_value(batch, name, values[:, k])
+    u, v = nodes(model.domain)
+    with jax.enable_x64(True):
+        grids = scales[:, None, None, None] * np.asarray(_positions(batch, u, v), float)
+    return _all(measures(grids, model.orientation))
 
 
 def _all(found: Measures) -> Float[np.ndarray, "t k"]:

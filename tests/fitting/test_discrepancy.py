@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.distance import cdist
 
 import petalfit as pf
-from petalfit.fitting.inference.discrepancy import Rows, discrepancy_of
+from petalfit.fitting.inference.discrepancy import Rows, discrepancy_of, is_suspect
 
 from .conftest import NAMES
 
@@ -59,8 +59,15 @@ def test_intervals_hold_under_a_linear_misfit(length, smooth):
 
 
 def test_noise_alone_has_no_discrepancy():
-    found = [discrepancy_of(linear_rows(None, True, seed)[1]) for seed in range(30)]
-    assert sum(x is not None for x in found) <= 2
+    every = [linear_rows(None, True, seed)[1] for seed in range(30)]
+    assert sum(discrepancy_of(rows) is not None for rows in every) <= 2
+
+
+@pytest.mark.parametrize(("length", "share"), [(None, (0.0, 0.4)), (0.1, (1.0, 1.0))])
+def test_the_first_look_passes_misfits(length, share):
+    every = [linear_rows(length, True, seed)[1] for seed in range(20)]
+    seen = [is_suspect(x.cell, x.distance, x.weights, x.slopes.shape[1]) for x in every]
+    assert share[0] <= np.mean(seen) <= share[1]
 
 
 def test_its_size_and_length_are_those_of_the_field():

@@ -84,7 +84,7 @@ def discrepancy_of(
         return None
     root = np.sqrt(means.total)
     extent = float(np.linalg.norm(np.ptp(means.place, axis=0)))
-    if rows.sigma < _EXACT * extent or not _is_suspect(means):
+    if rows.sigma < _EXACT * extent:
         return None
     # What the parameters cannot absorb: the complement of the columns of the slopes.
     scaled = root[:, None] * means.slopes
@@ -126,13 +126,31 @@ def discrepancy_of(
     return found, added
 
 
-def _is_suspect(means: _Means) -> bool:
-    """Whether the squares of the cells' means are more than noise makes them: a quick first look."""
-    count, (m, p) = means.freedom, means.slopes.shape
-    if not count or not means.within:
+def is_suspect(
+    cell: Int[np.ndarray, " n"],
+    distance: Float[np.ndarray, " n"],
+    weights: Float[np.ndarray, " n"],
+    free: int,
+) -> bool:
+    """Whether the means of cells differ by more than noise makes them: a quick first look.
+
+    Args:
+        cell: The cell of each point.
+        distance: Signed distances.
+        weights: Weights.
+        free: The number of free parameters.
+    """
+    some = weights > 0
+    _, cell = np.unique(cell[some], return_inverse=True)
+    distance, weights = distance[some], weights[some]
+    total = np.bincount(cell, weights)
+    mean = np.bincount(cell, weights * distance) / total
+    within = float(np.sum(weights * (distance - mean[cell]) ** 2))
+    freedom = float(np.sum(weights)) - len(total)
+    if freedom <= 0 or within <= 0:
         return False
-    squares = float(np.sum(means.total * means.distance**2)) / (means.within / count)
-    return bool(squares > m - p + _SUSPECT * np.sqrt(2 * m))
+    squares = float(np.sum(total * mean**2)) / (within / freedom)
+    return bool(squares > len(total) - free + _SUSPECT * np.sqrt(2 * len(total)))
 
 
 def _means(rows: Rows) -> _Means:

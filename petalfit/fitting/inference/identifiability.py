@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Bool, Float
 
-from petalfit.components import Parameter, Posed, bare, parameters
+from petalfit.components import Parameter, Posed, parameters
 from petalfit.fitting.solver.iterate import Iterate
 from petalfit.results import CLEAR_LEAD, FitWarning, Posterior, WarningKind
 from petalfit.surfaces import AbstractSurface, value_at
@@ -110,19 +110,15 @@ def posterior_of(
     declared: Mapping[str, Parameter],
     discrepancy: Float[np.ndarray, "p p"] | None = None,
 ) -> Posterior:
-    """What is known of the parameters of the model and of the scale, with typical ranges as priors."""
+    """What is known of the parameters of the model and of its pose, with typical ranges as priors."""
     spread = typical_spread(names, declared)
     scales = np.outer(spread, spread)
     matrix = _sandwich(end, scales, np.eye(len(names)), discrepancy) * scales
-    of_model = parameters(bare(end.model))
-    own = [k for k, name in enumerate(names) if name in of_model]
     factors = np.ones(len(names))
     if _has_unknown_scale(end, names):
         # Its error is that of the factor by which it differs from the fitted scale.
-        k = list(names).index("scale")
-        own, factors[k] = [*own, k], 1 / float(end.model.scale)
-    matrix = matrix * np.outer(factors, factors)
-    return Posterior(tuple(names[k] for k in own), matrix[np.ix_(own, own)])
+        factors[list(names).index("scale")] = 1 / float(end.model.scale)
+    return Posterior(tuple(names), matrix * np.outer(factors, factors))
 
 
 def _nearly_as_good(ends: Sequence[Iterate]) -> list[Iterate]:

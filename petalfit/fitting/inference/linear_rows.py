@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Float, Int
 
 from petalfit.fitting.coordinates import Coordinates
-from petalfit.fitting.inference.discrepancy import CELLS, Rows
+from petalfit.fitting.inference.discrepancy import CELLS, Rows, is_suspect
 from petalfit.fitting.likelihood import programs
 from petalfit.fitting.likelihood.cloud import pad
 from petalfit.fitting.solver.iterate import Iterate
@@ -15,6 +16,20 @@ from petalfit.observations import PointCloud
 from petalfit.surfaces import cells
 
 _MOST = 8192  # so many points are enough to estimate a field that is smooth
+
+
+def may_have_misfit(end: Iterate, free: int) -> bool:
+    """Whether the distances from an end show more than noise at a first look.
+
+    Args:
+        end: The end of a fit to one cloud.
+        free: The number of free parameters.
+    """
+    (seen,) = end.residuals
+    if seen.uv is None:
+        return False
+    cell = _cell(end, seen.uv)
+    return is_suspect(cell, seen.distance, seen.weights, free)
 
 
 def rows_of(end: Iterate, names: Sequence[str], cloud: PointCloud) -> Rows | None:
@@ -33,10 +48,9 @@ def rows_of(end: Iterate, names: Sequence[str], cloud: PointCloud) -> Rows | Non
     here = programs.linearise(coordinates, data, t, uv)
     slopes = np.asarray(coordinates.slopes(t))
     by_value = np.where(slopes > 0, 1 / np.where(slopes > 0, slopes, 1.0), 0.0)
-    across, along = cells(end.model.domain, seen.uv[some], CELLS)
     return Rows(
         np.asarray(here.position)[:count],
-        across * CELLS + along,
+        _cell(end, seen.uv[some]),
         seen.distance[some],
         seen.weights[some] * scale,
         np.asarray(here.slopes)[:count] * by_value,
@@ -44,3 +58,8 @@ def rows_of(end: Iterate, names: Sequence[str], cloud: PointCloud) -> Rows | Non
         seen.noise,
         np.asarray(here.information) * np.outer(by_value, by_value),
     )
+
+
+def _cell(end: Iterate, uv: Float[np.ndarray, "n 2"]) -> Int[np.ndarray, " n"]:
+    across, along = cells(end.model.domain, uv, CELLS)
+    return np.asarray(across * CELLS + along)
