@@ -7,6 +7,7 @@ import errno
 import json
 import os
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -129,16 +130,19 @@ def _record(
         "rms": first.rms,
         "noise": first.noise,
         "values": result.values,
-        "stderr": {n: x if np.isfinite(x) else None for n, x in result.stderr.items()},
-        "stderr_noise": {n: x if np.isfinite(x) else None for n, x in result.stderr_noise.items()},
+        "stderr": _known(result.stderr),
+        "stderr_noise": _known(result.stderr_noise),
         "discrepancy": None if misfit is None else misfit.deviation,
         "discrepancy_length": None if misfit is None else misfit.length,
         "identifiable": identifiable,
         "traits": {n: trait.value for n, trait in result.traits.items()},
-        "trait_stderr": {
-            n: t.stderr if np.isfinite(t.stderr) else None for n, t in result.traits.items()
-        },
+        "trait_stderr": _known({n: trait.stderr for n, trait in result.traits.items()}),
         "scale": float(result.pose.scale),
         "rotation": np.ravel(result.pose.rotation).tolist(),
         "translation": np.ravel(result.pose.translation).tolist(),
     }
+
+
+def _known(errors: Mapping[str, float]) -> dict[str, float | None]:
+    """Errors by name, None for those that are not finite."""
+    return {name: x if np.isfinite(x) else None for name, x in errors.items()}

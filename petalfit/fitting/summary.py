@@ -25,7 +25,6 @@ from petalfit.fitting.solver.iterate import Iterate
 from petalfit.observations import AbstractObservation
 from petalfit.results import (
     Agreement,
-    Discrepancy,
     FitWarning,
     Start,
     WarningKind,
@@ -134,7 +133,11 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
         reason=reason,
         notes=(
             *(words for part in agreements for words in verdict.outliers(part)),
-            *([] if discrepancy is None else [_allowed_for(discrepancy)]),
+            *(
+                []
+                if discrepancy is None
+                else [f"Errors allow for a misfit that {discrepancy.described}."]
+            ),
             *verdict.symmetries(model),
         ),
         warnings=tuple(warnings),
@@ -145,10 +148,6 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
         discrepancy=discrepancy,
         in_image=in_image,
     )
-
-
-def _allowed_for(discrepancy: Discrepancy) -> str:
-    return f"Errors allow for a misfit that {discrepancy.described}."
 
 
 def _declared(model: AbstractSurface, names: Sequence[str]) -> dict[str, Parameter]:

@@ -56,13 +56,10 @@ class Draws:
     def traits(self) -> dict[str, Float[np.ndarray, " n"]]:
         """The traits of every draw by name, in the target's unit; see `petalfit.results.trait`."""
         own = [name for name in self.names if name in parameters(self.model)]
-        scales = np.full(len(self), self.scale) if "scale" in own else self._scales
+        sized = self.names[-1] == "scale" and "scale" not in own
+        scales = self["scale"] if sized else np.full(len(self), self.scale)
         columns = [self.names.index(name) for name in own]
         return traits_of_many(self.model, own, self.values[:, columns], scales)
-
-    @property
-    def _scales(self) -> Float[np.ndarray, " n"]:
-        return self["scale"] if "scale" in self.names else np.full(len(self), self.scale)
 
     def to_arviz(self) -> Any:
         """The draws as one chain of ArviZ's `InferenceData`.

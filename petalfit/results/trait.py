@@ -14,10 +14,10 @@ from petalfit.components import parameters
 from petalfit.surfaces import (
     AbstractSurface,
     Measures,
+    batch_of,
     measures,
     nodes,
     value_at,
-    with_value,
 )
 
 _AT_ONCE = 100  # sheets that are measured together, because of memory
@@ -149,10 +149,7 @@ def _measured(
     scales: Float[np.ndarray, " k"],
 ) -> Float[np.ndarray, "t k"]:
     """All traits of sheets that differ in some parameters."""
-    count = len(values)
-    batch = jax.tree.map(lambda x: np.broadcast_to(x, (count, *np.shape(x))), model)
-    for k, name in enumerate(names):
-        batch = with_value(batch, name, values[:, k])
+    batch = batch_of(model, names, values)
     u, v = nodes(model.domain)
     with jax.enable_x64(True):
         grids = scales[:, None, None, None] * np.asarray(_positions(batch, u, v), float)

@@ -140,8 +140,8 @@ class PetalPage:
         self.draw()
 
     def _hide_result(self) -> None:
-        found = self._controls
-        for part in (found.found, found.numbers, found.key, found.turn):
+        controls = self._controls
+        for part in (controls.found, controls.numbers, controls.key, controls.turn):
             part.visible = False
 
     # The fit.

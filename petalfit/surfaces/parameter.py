@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from operator import attrgetter
 from typing import Any, TypeVar
 
 import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Float
 
 _KEY = "petalfit.parameter"
 # Metadata of a field whose component's parameters count as those of the whole, by their plain names.
@@ -111,6 +115,21 @@ def value_at(model: eqx.Module, name: str) -> Any:
 def with_value(model: Tree, name: str, value: Any) -> Tree:
     """A copy of the model with another value of one parameter."""
     return eqx.tree_at(attrgetter(name), model, value)
+
+
+def batch_of(model: Tree, names: Sequence[str], values: Float[np.ndarray, "k p"]) -> Tree:
+    """A batch of k models that differ in some parameters: all leaves have one more axis, the first.
+
+    Args:
+        model: A model with the values of all other parameters.
+        names: Names of the parameters that differ.
+        values: Their values, a row for each model.
+    """
+    count = len(values)
+    batch = jax.tree.map(lambda x: np.broadcast_to(x, (count, *np.shape(x))), model)
+    for k, name in enumerate(names):
+        batch = with_value(batch, name, values[:, k])
+    return batch
 
 
 def parameters(model: eqx.Module | type[eqx.Module]) -> dict[str, Parameter]:

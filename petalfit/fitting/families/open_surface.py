@@ -141,7 +141,7 @@ class OpenSurfaceFamily(AbstractFamily):
             free = tuple(name for name in request.free if name not in redundant)
             every = self.starts(request.template, free, sheets[:_SOME], request.pose)
             if request.base is not None:
-                every = _with_base_near(every, frame.into(np.array([request.base]))[0])
+                every = [_with_base_near(every, frame.into(np.array([request.base]))[0])]
             found = every[:_FOLLOWED]
             starts = [(start.label, start.posed(request.pose)) for start in found]
         some = masses[:_ROUGHLY]
@@ -185,10 +185,8 @@ class OpenSurfaceFamily(AbstractFamily):
         return self.standard_form(end, names)
 
 
-def _with_base_near(
-    starts: Sequence[CloudStart], place: Float[np.ndarray, "3"]
-) -> Sequence[CloudStart]:
-    """Of starts in a fitted pose, those whose base is the nearest to a place.
+def _with_base_near(starts: Sequence[CloudStart], place: Float[np.ndarray, "3"]) -> CloudStart:
+    """Of starts in a fitted pose, the one whose base is the nearest to a place.
 
     The base is the middle of the side where v is least.
     """
@@ -199,8 +197,7 @@ def _with_base_near(
         there = start.scale * start.rotation @ base + start.translation
         return float(np.linalg.norm(there - place))
 
-    nearest = min(map(away, starts))
-    return [start for start in starts if away(start) <= nearest]
+    return min(starts, key=away)
 
 
 def _descended(

@@ -93,7 +93,7 @@ def discrepancy_of(
     rest = whole[:, np.count_nonzero(used) :]
     left = rest.T @ (root * means.distance)
     apart = cdist(means.place, means.place)
-    alone, _ = _none(left, means)
+    alone = _none(left, means)
     trials: list[_Trial] = []
     for length in _LENGTHS:
         for smooth in (True, False):
@@ -141,35 +141,35 @@ def is_suspect(
         free: The number of free parameters.
     """
     some = weights > 0
-    _, cell = np.unique(cell[some], return_inverse=True)
-    distance, weights = distance[some], weights[some]
-    total = np.bincount(cell, weights)
-    mean = np.bincount(cell, weights * distance) / total
-    within = float(np.sum(weights * (distance - mean[cell]) ** 2))
-    freedom = float(np.sum(weights)) - len(total)
-    if freedom <= 0 or within <= 0:
+    total, (mean,), within, freedom = _over_cells(cell[some], weights[some], distance[some])
+    if not freedom or not within:
         return False
     squares = float(np.sum(total * mean**2)) / (within / freedom)
     return bool(squares > len(total) - free + _SUSPECT * np.sqrt(2 * len(total)))
 
 
 def _means(rows: Rows) -> _Means:
-    cells, cell = np.unique(rows.cell[rows.weights > 0], return_inverse=True)
     some = rows.weights > 0
-    weights = rows.weights[some]
-    total = np.bincount(cell, weights, len(cells))
-
-    def mean(values: np.ndarray) -> np.ndarray:
-        columns = np.reshape(values[some], (len(weights), -1)).T
-        sums = [np.bincount(cell, weights * column, len(cells)) for column in columns]
-        return np.stack(sums, axis=-1) / total[:, None]
-
-    distance = mean(rows.distance)[:, 0]
-    within = float(np.sum(weights * (rows.distance[some] - distance[cell]) ** 2))
-    freedom = max(float(np.sum(weights)) - len(cells), 0.0)
-    return _Means(
-        mean(rows.place), distance, mean(rows.slopes), mean(rows.edge), total, within, freedom
+    columns = np.column_stack([rows.distance, rows.place, rows.slopes, rows.edge])[some]
+    total, means, within, freedom = _over_cells(rows.cell[some], rows.weights[some], *columns.T)
+    distance, place, slopes, edge = np.split(
+        np.stack(means, axis=-1), np.cumsum([1, 3, rows.slopes.shape[1]]), axis=1
     )
+    return _Means(place, distance[:, 0], slopes, edge, total, within, freedom)
+
+
+def _over_cells(
+    cell: Int[np.ndarray, " n"],
+    weights: Float[np.ndarray, " n"],
+    distance: Float[np.ndarray, " n"],
+    *others: Float[np.ndarray, " n"],
+) -> tuple[Float[np.ndarray, " m"], list[Float[np.ndarray, " m"]], float, float]:
+    """Weights of the cells, means of all columns, squares of distances within cells, and their number."""
+    _, cell = np.unique(cell, return_inverse=True)
+    total = np.bincount(cell, weights)
+    means = [np.bincount(cell, weights * column) / total for column in (distance, *others)]
+    within = float(np.sum(weights * (distance - means[0][cell]) ** 2))
+    return total, means, within, max(float(np.sum(weights)) - len(total), 0.0)
 
 
 def _correlation(apart: Float[np.ndarray, "m m"], smooth: bool) -> Float[np.ndarray, "m m"]:
@@ -180,11 +180,11 @@ def _correlation(apart: Float[np.ndarray, "m m"], smooth: bool) -> Float[np.ndar
     return (1 + reach) * np.exp(-reach)
 
 
-def _none(left: np.ndarray, means: _Means) -> tuple[float, float]:
-    """Restricted log likelihood and variance of noise without a field."""
+def _none(left: np.ndarray, means: _Means) -> float:
+    """Restricted log likelihood without a field."""
     count = means.freedom + len(left)
     noise = (means.within + float(left @ left)) / count
-    return -0.5 * count * float(np.log(noise)), noise
+    return -0.5 * count * float(np.log(noise))
 
 
 def _restricted(

@@ -11,13 +11,12 @@ from jaxtyping import Array, Float
 
 from petalfit.compilation import Program
 from petalfit.components import Posed, parameters
-from petalfit.fitting.coordinates import Coordinates, in_doubles
-from petalfit.fitting.likelihood import programs
-from petalfit.fitting.likelihood.cloud import pad
+from petalfit.fitting.coordinates import in_doubles
+from petalfit.fitting.inference.linear_rows import Linear
 from petalfit.observations import PointCloud
 from petalfit.residuals import frame, slide_foot_points
 from petalfit.results import Draws, FitRecord
-from petalfit.surfaces import AbstractSurface, value_at, with_value
+from petalfit.surfaces import AbstractSurface, batch_of, value_at
 
 _POINTS = 192  # so many points tell how far the likelihood is from Gaussian
 _ROUNDS = 50  # attempts to draw inside the bounds
@@ -143,25 +142,15 @@ def _log_ratios(
     assert part.uv is not None
     some = np.flatnonzero(part.weights > 0)
     some = some[np.linspace(0, len(some) - 1, min(_POINTS, len(some))).astype(int)]
-    share = float(np.sum(part.weights)) / float(np.sum(part.weights[some]))
-    data = pad(part.target.points[some], part.weights[some] * share, part.noise)
-    rest = len(data.points) - len(some)
-    uv = np.concatenate([part.uv[some], np.repeat(part.uv[some[:1]], rest, axis=0)])
-    coordinates = Coordinates.of(model, tuple(names))
-    t = coordinates.inverse(model)
-    here = programs.linearise(coordinates, data, t, uv)
-    slopes = np.asarray(coordinates.slopes(t))
-    by_value = np.asarray(here.slopes) * np.where(
-        slopes > 0, 1 / np.where(slopes > 0, slopes, 1), 0
+    data, uv, here, by_value = Linear.of(
+        model, names, part.target, part.weights, part.noise, part.uv, some
     )
+    slopes = np.asarray(here.slopes) * by_value
     weights = np.asarray(data.weights) / part.noise**2
-    gradient = by_value.T @ (weights * np.asarray(here.distance))
+    gradient = slopes.T @ (weights * np.asarray(here.distance))
     step = values - centre
-    quadratic = 0.5 * np.sum(weights * (step @ by_value.T) ** 2, axis=1) + step @ gradient
-    batch = jax.tree.map(lambda x: np.broadcast_to(x, (len(values), *np.shape(x))), model)
-    for k, name in enumerate(names):
-        batch = with_value(batch, name, values[:, k])
-    squares = np.asarray(_squares(batch, data.points, weights, uv))
+    quadratic = 0.5 * np.sum(weights * (step @ slopes.T) ** 2, axis=1) + step @ gradient
+    squares = np.asarray(_squares(batch_of(model, names, values), data.points, weights, uv))
     known = float(np.sum(weights * np.asarray(here.distance) ** 2))
     return quadratic - 0.5 * (squares - known)
 

@@ -1,8 +1,9 @@
-"""The linearised likelihood of a fitted cloud, from which a discrepancy is estimated."""
+"""The linearised likelihood of a fitted cloud, for discrepancies and for draws."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -11,9 +12,11 @@ from petalfit.fitting.coordinates import Coordinates
 from petalfit.fitting.inference.discrepancy import CELLS, Rows, is_suspect
 from petalfit.fitting.likelihood import programs
 from petalfit.fitting.likelihood.cloud import pad
+from petalfit.fitting.likelihood.linearise import Linearisation
 from petalfit.fitting.solver.iterate import Iterate
 from petalfit.observations import PointCloud
-from petalfit.surfaces import cells
+from petalfit.residuals import Data
+from petalfit.surfaces import AbstractSurface, cells
 
 _MOST = 8192  # so many points are enough to estimate a field that is smooth
 
@@ -32,6 +35,55 @@ def may_have_misfit(end: Iterate, free: int) -> bool:
     return is_suspect(cell, seen.distance, seen.weights, free)
 
 
+class Linear(NamedTuple):
+    """The likelihood of some points of a cloud, linearised by the values of the parameters.
+
+    Attributes:
+        data: The points, padded, with weights that add up to those of the whole cloud.
+        uv: Their foot points, padded, shape (n, 2).
+        here: The linearisation by coordinates.
+        by_value: dt/dθ, which turns derivatives by coordinates into those by values, shape (p,).
+    """
+
+    data: Data
+    uv: Float[np.ndarray, "n 2"]
+    here: Linearisation
+    by_value: Float[np.ndarray, " p"]
+
+    @classmethod
+    def of(
+        cls,
+        model: AbstractSurface,
+        names: Sequence[str],
+        cloud: PointCloud,
+        weights: Float[np.ndarray, " m"],
+        noise: float,
+        uv: Float[np.ndarray, "m 2"],
+        some: Int[np.ndarray, " k"],
+    ) -> Linear:
+        """Linearises at a model.
+
+        Args:
+            model: The model, in the cloud's frame.
+            names: Names of the free parameters.
+            cloud: The cloud.
+            weights: Weights of all points.
+            noise: The noise.
+            uv: Foot points of all points.
+            some: Indices of the points that are used; they stand for the others.
+        """
+        share = float(np.sum(weights)) / max(float(np.sum(weights[some])), 1e-300)
+        data = pad(cloud.points[some], weights[some] * share, noise)
+        padding = np.repeat(uv[some[:1]], len(data.points) - len(some), axis=0)
+        places = np.concatenate([uv[some], padding])
+        coordinates = Coordinates.of(model, tuple(names))
+        t = coordinates.inverse(model)
+        here = programs.linearise(coordinates, data, t, places)
+        slopes = np.asarray(coordinates.slopes(t))
+        by_value = np.where(slopes > 0, 1 / np.where(slopes > 0, slopes, 1.0), 0.0)
+        return cls(data, places, here, by_value)
+
+
 def rows_of(end: Iterate, names: Sequence[str], cloud: PointCloud) -> Rows | None:
     """The rows of the likelihood of a cloud at an end; None if the surface has no foot points."""
     (seen,) = end.residuals
@@ -39,20 +91,15 @@ def rows_of(end: Iterate, names: Sequence[str], cloud: PointCloud) -> Rows | Non
         return None
     some = np.flatnonzero(seen.weights > 0)
     some = some[:: -(-len(some) // _MOST)]
+    data, _, here, by_value = Linear.of(
+        end.model, names, cloud, seen.weights, seen.noise, seen.uv, some
+    )
     count = len(some)
-    scale = float(np.sum(seen.weights)) / max(float(np.sum(seen.weights[some])), 1e-300)
-    data = pad(cloud.points[some], seen.weights[some] * scale, seen.noise)
-    uv = np.concatenate([seen.uv[some], np.repeat(seen.uv[some[:1]], len(data.points) - count, 0)])
-    coordinates = Coordinates.of(end.model, tuple(names))
-    t = coordinates.inverse(end.model)
-    here = programs.linearise(coordinates, data, t, uv)
-    slopes = np.asarray(coordinates.slopes(t))
-    by_value = np.where(slopes > 0, 1 / np.where(slopes > 0, slopes, 1.0), 0.0)
     return Rows(
         np.asarray(here.position)[:count],
         _cell(end, seen.uv[some]),
         seen.distance[some],
-        seen.weights[some] * scale,
+        np.asarray(data.weights)[:count],
         np.asarray(here.slopes)[:count] * by_value,
         np.asarray(here.edge)[:count] * by_value,
         seen.noise,
