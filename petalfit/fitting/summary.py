@@ -89,6 +89,7 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
         ends = [best, *(_seen_from(end, best.model) for end in ends[1:])]
     starts = _starts(ends, names) if names else ()
     warnings = [
+        *verdict.about_targets(agreements),
         *(verdict.flips(best) if finite else []),
         *bounds,
         *verdict.not_determined(identifiable),

@@ -1,5 +1,6 @@
 """Point clouds of a petal, from a laser scanner, from photogrammetry or from a mesh."""
 
+import copy
 import math
 import os
 import sys
@@ -32,6 +33,10 @@ from petalfit.observations.writers import write_columns
 
 if TYPE_CHECKING:
     import trimesh
+
+
+# Points that are sampled or measured seldom coincide; a place that many of them share is named.
+_MANY_COINCIDE, _LARGE_SHARE_COINCIDES = 10, 0.01
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
@@ -126,16 +131,34 @@ class PointCloud(AbstractObservation):
 
     def each_once(self) -> "PointCloud":
         """The cloud with weight 0 for points that repeat an earlier one."""
-        _, first = np.unique(self.points, axis=0, return_index=True)
+        places, first, counts = np.unique(
+            self.points, axis=0, return_index=True, return_counts=True
+        )
         if len(first) == len(self):
             return self
         once = np.zeros(len(self))
         once[first] = 1.0
-        return self.weighted(once)
+        most = int(counts.argmax())
+        cloud = self.weighted(once)
+        if counts[most] >= max(_MANY_COINCIDE, _LARGE_SHARE_COINCIDES * len(self)):
+            x, y, z = places[most]
+            note = (
+                f"{counts[most]:,} of {len(self):,} points coincide at ({x:.6g}, {y:.6g}, {z:.6g}) and "
+                "count as one; if they stand for missing ones, remove them, or use loss='robust'"
+            )
+            return cloud.noting(note)
+        return cloud
+
+    def noting(self, *notes: str) -> "PointCloud":
+        """The cloud with more notes on what is odd about it, in whole sentences."""
+        cloud = copy.copy(self)
+        object.__setattr__(cloud, "notes", (*self.notes, *notes))
+        return cloud
 
     def counting(self, weights: Float64[np.ndarray, " n"]) -> "PointCloud":
         """The cloud with other weights."""
-        return PointCloud(self.points, self.normals, weights, self.colours)
+        cloud = PointCloud(self.points, self.normals, weights, self.colours)
+        return cloud.noting(*self.notes)
 
     def weighted(self, factor: Float64[np.ndarray, " n"]) -> "PointCloud":
         """The cloud with the weight of each point multiplied by a factor."""
@@ -159,13 +182,19 @@ class PointCloud(AbstractObservation):
     ) -> "PointCloud":
         """Reads a point cloud, or samples a mesh; see `petalfit.observations.readers.read_columns`.
 
+        Names of columns may be quoted, in any case and with a unit. Coordinates are `x`, `x [mm]`,
+        `x_mm`, `coord_x`, `pos.x`, `x_coordinate`, `Points:0`, `Points_0` or `easting`, and so on;
+        normals `nx`, `normal_x` or `Normals:0`; weights `weight` or `weights`; colours `red`, `r`,
+        `color_r` or `RGB:0`. A header without three coordinates is refused.
+
         Args:
-            path: The path of the file, of at most 2 GB.
+            path: The path of the file, which must fit into memory.
             n: The number of points to draw from a file with faces; without faces all vertices are used.
             seed: The seed of `numpy.random.default_rng`, which draws the points.
 
         Returns:
-            The cloud, in the file's unit of length and frame.
+            The cloud, in the file's unit of length and frame. Its `notes` say what was left out, and
+            what is odd about it.
 
         Raises:
             TargetError: The file is missing, unreadable, too large, not of the format that its suffix
@@ -174,9 +203,15 @@ class PointCloud(AbstractObservation):
         """
         path = Path(path)
         try:
-            return cls(**read_columns(path, n, seed))
+            return cls._of(read_columns(path, n, seed))
         except TargetError as error:
             raise TargetError(f"{path}: {error}") from error.__cause__
+
+    @classmethod
+    def _of(cls, columns: Columns) -> "PointCloud":
+        """The cloud of columns, with their notes."""
+        parts = (columns["points"], columns["normals"], columns["weights"], columns["colours"])
+        return cls(*parts).noting(*columns.get("notes", ()))
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes the cloud, completely or not at all; reading it back gives exactly the same numbers.
@@ -242,9 +277,9 @@ def as_point_cloud(target: object) -> PointCloud:
         import trimesh
 
         if isinstance(target, trimesh.Scene):
-            return PointCloud(**geometry_columns(target.dump()))
+            return PointCloud._of(geometry_columns(target.dump()))
         if isinstance(target, trimesh.Trimesh | trimesh.PointCloud):
-            return PointCloud(**geometry_columns([target]))
+            return PointCloud._of(geometry_columns([target]))
     if isinstance(target, list | tuple) or hasattr(target, "__array__"):
         return PointCloud(target)  # pyright: ignore[reportArgumentType] - checked in there
     raise TargetError(

@@ -8,6 +8,8 @@ from jaxtyping import Float64
 
 from petalfit.observations.columns import Columns
 from petalfit.observations.errors import TargetError
+from petalfit.observations.pieces import piece_notes
+from petalfit.observations.resolution import resolution_notes
 from petalfit.observations.validation import LARGEST_COORDINATE
 
 if TYPE_CHECKING:
@@ -106,7 +108,8 @@ def geometry_columns(
         seed: The seed of `numpy.random.default_rng`.
 
     Returns:
-        The points, with normals if they were drawn from faces.
+        The points, with normals if they were drawn from faces, and with the colours of vertices if they
+        were not.
 
     Raises:
         TargetError: There are neither faces nor vertices, or they cannot be used.
@@ -117,10 +120,23 @@ def geometry_columns(
     if meshes:
         triangles = np.concatenate([mesh_triangles(mesh) for mesh in meshes])
         points, normals = sample_triangles(triangles, n, seed)
-        return {"points": points, "normals": normals, "weights": None, "colours": None}
+        return {
+            "points": points,
+            "normals": normals,
+            "weights": None,
+            "colours": None,
+            "notes": (*resolution_notes(triangles.reshape(-1, 3)), *piece_notes(triangles)),
+        }
     vertices = [getattr(part, "vertices", ()) for part in geometries]
-    vertices = [points for points in vertices if np.shape(points)[1:] == (3,)]
-    if not sum(map(len, vertices)):
+    clouds = [np.asarray(points) for points in vertices if np.shape(points)[1:] == (3,)]
+    if not sum(map(len, clouds)):
         raise TargetError("there are no vertices; give a mesh or a cloud that is not empty.")
-    points = np.concatenate(vertices)
-    return {"points": points, "normals": None, "weights": None, "colours": None}
+    points = np.concatenate(clouds)
+    colours = [np.asarray(getattr(part, "colors", ())) for part in geometries]
+    colours = np.concatenate([part[:, :3] for part in colours if part.ndim == 2] or [points[:0]])
+    return {
+        "points": points,
+        "normals": None,
+        "weights": None,
+        "colours": colours if len(colours) == len(points) else None,
+    }

@@ -5,7 +5,7 @@ Rows are counted from 0 in every message, as NumPy does.
 
 import numpy as np
 import numpy.typing as npt
-from jaxtyping import Float64
+from jaxtyping import Float64, Num
 
 from petalfit.observations.errors import TargetError
 
@@ -22,6 +22,15 @@ RESOLVED_EXTENT = 1e-9
 STRAIGHTNESS = 1e-6
 # A normal this close to unit length is kept unchanged, so that saving and loading is exact.
 UNIT_LENGTH = 4 * np.finfo(np.float64).eps
+# Rows that are checked at a time: intermediate results stay in the cache, and take no memory.
+_CHUNK = 1 << 15
+
+
+def bounds(points: Num[np.ndarray, "n k"]) -> tuple[Num[np.ndarray, " k"], Num[np.ndarray, " k"]]:
+    """The smallest and the largest value of each column, NaN if there is one in it; (k,) each."""
+    # Column by column: NumPy takes ten times as long for short rows.
+    low, high = zip(*((column.min(), column.max()) for column in points.T), strict=True)
+    return np.array(low), np.array(high)
 
 
 def valid_points(points: ArrayLike) -> Float64[np.ndarray, "n 3"]:
@@ -43,12 +52,14 @@ def valid_points(points: ArrayLike) -> Float64[np.ndarray, "n 3"]:
         raise TargetError(
             f"points have shape {array.shape}, expected (N, 3); {_shape_remedy(array.shape)}."
         )
-    _refuse_rows(
-        ~np.isfinite(array).all(axis=1),
-        "points have a NaN or infinite coordinate",
-        "drop them: points[np.isfinite(points).all(axis=1)]",
-    )
-    largest = np.abs(array).max()
+    low, high = bounds(array)
+    if not (np.isfinite(low).all() and np.isfinite(high).all()):
+        _refuse_rows(
+            ~np.isfinite(array).all(axis=1),
+            "points have a NaN or infinite coordinate",
+            "drop them: points[np.isfinite(points).all(axis=1)]",
+        )
+    largest = max(-low.min(), high.max())
     if largest > LARGEST_COORDINATE:
         raise TargetError(
             f"points have coordinates up to {largest:.3g}, expected at most "
@@ -75,23 +86,27 @@ def valid_normals(normals: ArrayLike, n: int) -> Float64[np.ndarray, "n 3"]:
         raise TargetError(
             f"normals have shape {array.shape}, expected {(n, 3)}, one for each point."
         )
+    if not all(np.isfinite(end).all() for end in bounds(array)):
+        _refuse_rows(
+            ~np.isfinite(array).all(axis=1),
+            "normals have a NaN or infinite component",
+            "drop those points, or leave the normals out",
+        )
+    x, y, z = array.T
     _refuse_rows(
-        ~np.isfinite(array).all(axis=1),
-        "normals have a NaN or infinite component",
-        "drop those points, or leave the normals out",
-    )
-    largest = np.abs(array).max(axis=1, keepdims=True)
-    _refuse_rows(
-        largest[:, 0] == 0.0,
+        (x == 0.0) & (y == 0.0) & (z == 0.0),
         "normals have zero length",
         "drop those points, or leave the normals out",
     )
-    # Divided by the largest component first, because the square of 1e-200 is zero.
-    scaled = array / largest
-    unit = scaled / np.linalg.norm(scaled, axis=1, keepdims=True)
-    with np.errstate(over="ignore"):
-        length = np.linalg.norm(array, axis=1, keepdims=True)
-    return np.where(np.abs(length - 1.0) <= UNIT_LENGTH, array, unit)
+    for start in range(0, n, _CHUNK):
+        part = array[start : start + _CHUNK]
+        with np.errstate(over="ignore"):
+            length = np.sqrt(np.einsum("nk,nk->n", part, part))
+        other = np.flatnonzero(~(np.abs(length - 1.0) <= UNIT_LENGTH))
+        # Divided by the largest component first, because the square of 1e-200 is zero.
+        scaled = part[other] / np.maximum.reduce(np.abs(part[other].T))[:, None]
+        part[other] = scaled / np.sqrt(np.einsum("nk,nk->n", scaled, scaled))[:, None]
+    return array
 
 
 def valid_weights(weights: ArrayLike, n: int) -> Float64[np.ndarray, " n"]:
@@ -136,12 +151,14 @@ def valid_colours(colours: ArrayLike, n: int) -> Float64[np.ndarray, "n 3"]:
         raise TargetError(
             f"colours have shape {array.shape}, expected {(n, 3)}: red, green, blue of each point."
         )
-    array = array / 255 if is_bytes else array
-    _refuse_rows(
-        ~((array >= 0.0) & (array <= 1.0)).all(axis=1),
-        "colours lie outside 0 to 1",
-        "divide numbers from 0 to 255 by 255, or give them as uint8",
-    )
+    if is_bytes:
+        array /= 255.0
+    elif not (array.min() >= 0.0 and array.max() <= 1.0):
+        _refuse_rows(
+            ~((array >= 0.0) & (array <= 1.0)).all(axis=1),
+            "colours lie outside 0 to 1",
+            "divide numbers from 0 to 255 by 255, or give them as uint8",
+        )
     return array
 
 
@@ -155,9 +172,9 @@ def check_spread(points: Float64[np.ndarray, "n 3"]) -> None:
         TargetError: The points all coincide, lie on one line, or lie so far from the origin, compared
             with their extent, that rounding has destroyed their shape.
     """
-    low, high = points.min(axis=0), points.max(axis=0)
+    low, high = bounds(points)
     span = (high - low).max()
-    offset = np.abs(points).max()
+    offset = max(-low.min(), high.max())
     need = "at least three that are not on one line are needed"
     if span == 0.0:
         raise TargetError(f"points all coincide ({len(points)} at {low.tolist()}); {need}.")
@@ -166,6 +183,8 @@ def check_spread(points: Float64[np.ndarray, "n 3"]) -> None:
             f"points span only {span:.3g} at coordinates up to {offset:.9g}, which float64 does "
             "not resolve; subtract a common offset before the coordinates are rounded."
         )
+    if _mean_width(points, low, span) > 10 * STRAIGHTNESS:
+        return
     # Relative to the extent and about the mean, so that neither unit nor offset matters.
     centred = (points - low) / span
     centred -= centred.mean(axis=0)
@@ -174,6 +193,20 @@ def check_spread(points: Float64[np.ndarray, "n 3"]) -> None:
     # The largest distance and not the second singular value: one real point off a long line counts.
     if np.linalg.norm(from_line, axis=1).max() <= STRAIGHTNESS:
         raise TargetError(f"points all lie on one line ({len(points)} of them); {need}.")
+
+
+def _mean_width(
+    points: Float64[np.ndarray, "n 3"], low: Float64[np.ndarray, "3"], span: float
+) -> float:
+    """The root mean square distance to the line that is closest, relative to the extent."""
+    total, products = np.zeros(3), np.zeros((3, 3))
+    for start in range(0, len(points), _CHUNK):
+        part = (points[start : start + _CHUNK] - low) / span
+        total += part.sum(axis=0)
+        products += part.T @ part
+    mean = total / len(points)
+    variances = np.linalg.eigvalsh(products / len(points) - np.outer(mean, mean))
+    return float(np.sqrt(max(variances[:2].sum(), 0.0)))
 
 
 def _real_array(values: ArrayLike, name: str) -> Float64[np.ndarray, "..."]:

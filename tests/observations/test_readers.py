@@ -173,10 +173,10 @@ class TestText:
         text = "x;y;z\n" + text_of(POINTS, delimiter=";").replace(".", ",")
         np.testing.assert_array_equal(PointCloud.load(file("a.csv", text)).points, POINTS)
 
-    @pytest.mark.parametrize("delimiter", [" ", "\t"])
-    def test_decimal_commas_are_not_mistaken_for_delimiters(self, file, delimiter):
-        path = file("a.txt", delimiter.join(["1,5", "2,5", "3,5"]))
-        refused(path, r"line 1 has '5.*2' for a number: '1,5.*2,5.*3,5'")
+    @pytest.mark.parametrize("delimiter", [" ", "\t", ";"])
+    def test_decimal_commas(self, file, delimiter):
+        text = text_of(POINTS, delimiter=delimiter).replace(".", ",")
+        np.testing.assert_array_equal(PointCloud.load(file("a.txt", text)).points, POINTS)
 
     @pytest.mark.parametrize(
         "header", ["x,y,z", "# x y z", "// X Y Z", "\ufeffX;Y;Z", "East North Up", '"x","y","z"']
@@ -216,8 +216,11 @@ class TestText:
         assert read(rng.uniform(size=(12, 3))).normals is None
         assert read(rng.integers(0, 256, (12, 3))).normals is None
         assert read(np.zeros((12, 3))).normals is None
-        with pytest.raises(TargetError, match=r"1 of 12 normals have zero length.* in row 4; drop"):
-            read(np.where(np.arange(12)[:, None] == 4, 0.0, NORMALS))
+        some = read(np.where(np.arange(12)[:, None] == 4, 0.0, NORMALS))
+        assert some.normals is None
+        assert some.notes[0].startswith(
+            "1 of 12 normals are zero or NaN: all normals were left out"
+        )
 
     @pytest.mark.parametrize(
         ("text", "message"),
@@ -234,9 +237,8 @@ class TestText:
             ("x y z w\n1 2 3\n", "has 4 names in its header, but 3 columns of numbers"),
             ("# nothing\n\n", "holds no points, expected lines of at least three numbers"),
             ("x y z\n", "holds no points"),
-            ("0 0 0\n1 0 nan\n0 1 0\n", "1 of 3 points have a NaN .* row 1; drop them"),
             ("0 0 0\n1 0 0\n2 0 0\n", "points all lie on one line"),
-            (bytes(range(256)) * 9, r"line \d has .*: '"),
+            (bytes(range(256)) * 9, "is no text: line 1 has zero bytes or no end"),
         ],
     )
     def test_malformed_text_is_refused(self, file, text, message):
@@ -290,7 +292,7 @@ class TestArrays:
         np.save(tmp_path / "a.npy", array)
         refused(tmp_path / "a.npy", message)
 
-    def test_a_zip_bomb_is_not_unpacked(self, tmp_path):
+    def test_a_zip_bomb_is_not_unpacked(self, tmp_path, monkeypatch):
         path = tmp_path / "a.npz"
         with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
             archive.writestr("points.npy", b"\0" * 1000)
@@ -298,19 +300,24 @@ class TestArrays:
         content = bytearray(path.read_bytes())
         struct.pack_into("<I", content, content.rindex(b"PK\x01\x02") + 24, 3_000_000_000)
         path.write_bytes(content)
-        refused(path, "holds 3 GB, expected at most 2 GB; thin the cloud or decimate")
+        monkeypatch.setattr("petalfit.observations.memory.available_memory", lambda: 2_000_000_000)
+        refused(
+            path, "takes 9 GB of memory to read, and 2 GB are available; thin the cloud or decim"
+        )
 
     def test_an_array_that_promises_too_much_is_refused(self, file, tmp_path):
         np.save(tmp_path / "a.npy", POINTS)
         content = (tmp_path / "a.npy").read_bytes()
         promised = content.replace(b"(12, 3), }" + b" " * 12, b"(999999999999, 3), }  ", 1)
         assert promised != content
-        refused(file("b.npy", promised), "is damaged, cut short")
+        refused(file("b.npy", promised), "is damaged, or does not fit into memory")
 
 
 class TestFiles:
     def test_suffixes_are_the_documented_ones(self):
-        assert " ".join(SUFFIXES) == ".ply .obj .stl .glb .gltf .xyz .txt .csv .npy .npz"
+        assert " ".join(SUFFIXES) == (
+            ".ply .obj .stl .off .glb .gltf .xyz .txt .asc .pts .csv .pcd .las .laz .e57 .npy .npz"
+        )
 
     def test_missing(self, tmp_path):
         refused(tmp_path / "a.ply", "there is no such file; check the path")
@@ -328,7 +335,7 @@ class TestFiles:
         folder.mkdir()
         refused(folder, "is a folder; give the path of a file in it")
 
-    @pytest.mark.parametrize("name", ["a.las", "ply", "a.ply.gz"])
+    @pytest.mark.parametrize("name", ["a.doc", "ply", "a.ply.gz"])
     def test_unknown_suffix(self, file, name):
         message = r"unknown suffix '.*'; supported are \.ply \.obj .* \.npz\."
         refused(file(name, sphere("ply")), message)
@@ -343,10 +350,11 @@ class TestFiles:
         refused(tmp_path / "a.xyz", "is not a regular file; copy its content to one first")
 
     @pytest.mark.parametrize("suffix", SUFFIXES)
-    def test_too_large(self, file, suffix):
+    def test_too_large(self, file, suffix, monkeypatch):
         path = file("a" + suffix, "")
         os.truncate(path, 2_500_000_000)  # Sparse: takes no space.
-        refused(path, "holds 2.5 GB, expected at most 2 GB; thin the cloud or decimate the mesh")
+        monkeypatch.setattr("petalfit.observations.memory.available_memory", lambda: 4_000_000_000)
+        refused(path, "takes 7.5 GB of memory to read, and 4 GB are available; thin the cloud or d")
 
     @pytest.mark.parametrize("suffix", SUFFIXES)
     def test_without_permission(self, file, suffix, monkeypatch):
@@ -360,10 +368,14 @@ class TestFiles:
         monkeypatch.setattr("zipfile.ZipFile", refuse)
         refused(path, "cannot be read .*Permission denied.*; check its permissions")
 
-    @pytest.mark.parametrize("suffix", sorted({*SUFFIXES} - {".obj", ".xyz", ".txt", ".csv"}))
+    @pytest.mark.parametrize("suffix", sorted({*SUFFIXES} - {".obj", ".off"}))
     def test_garbage(self, file, suffix):
         garbage = np.random.default_rng(1).bytes(5000)
-        refused(file("a" + suffix, garbage), rf"is damaged, cut short or no \{suffix} file .*\(")
+        kind = suffix.removeprefix(".")
+        message = (
+            rf"is damaged, cut short or no \.{kind} file .*\(|is no (text|{kind.upper()} file)"
+        )
+        refused(file("a" + suffix, garbage), message)
 
     @pytest.mark.parametrize("name", ["a.obj", "a.stl"])
     def test_text_without_vertices(self, file, name):
@@ -377,13 +389,17 @@ class TestFiles:
     @pytest.mark.parametrize("kind", ["ply", "stl", "glb"])
     def test_cut_short(self, file, kind, share):
         content = sphere(kind)
-        refused(file(f"a.{kind}", content[: int(share * len(content))]), "is damaged, cut short")
+        refused(file(f"a.{kind}", content[: int(share * len(content))]), "is (damaged|cut short)")
 
     def test_ascii_ply_cut_short(self, file):
         header = ply_header("ascii", 12, "float x, float y, float z") + "end_header\n"
         refused(file("a.ply", header + text_of(POINTS[:7])), "cut short: 12 vertices .*, 7 found")
         broken = text_of(POINTS).replace(repr(float(POINTS[5, 1])), "oops")
-        refused(file("b.ply", header + broken), "is damaged, cut short")
+        refused(
+            file("b.ply", header + broken), "is damaged: not all that follows its header are num"
+        )
+        shifted = text_of(POINTS) + "7\n"
+        refused(file("c.ply", header + shifted), "announces 36 numbers, and 37 are found")
 
     @pytest.mark.parametrize("kind", ["npy", "npz"])
     def test_arrays_cut_short(self, tmp_path, file, kind):
