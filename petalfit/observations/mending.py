@@ -5,6 +5,7 @@ import numpy as np
 from petalfit.observations.columns import Columns
 from petalfit.observations.errors import TargetError
 from petalfit.observations.resolution import resolution_notes
+from petalfit.observations.sheets import sheet_notes
 from petalfit.observations.validation import bounds
 
 # Depth cameras write 0 0 0 for a pixel without depth. No surface has this many of its points at exactly
@@ -63,6 +64,7 @@ def mended(columns: Columns) -> Columns:
         columns = _rows(columns, kept)
     points = columns["points"]
     notes += resolution_notes(points)
+    notes += sheet_notes(points)
     normals, weights, colours = columns["normals"], columns["weights"], columns["colours"]
     if normals is not None and normals.shape == points.shape:
         normals = _normals(normals, notes)

@@ -1,5 +1,7 @@
 """Whether coordinates are rounded too much for the shape that they have."""
 
+import math
+
 import numpy as np
 from jaxtyping import Num
 
@@ -25,7 +27,7 @@ def resolution_notes(points: Num[np.ndarray, "n 3"]) -> list[str]:
         TargetError: The steps are so large that the shape is lost.
     """
     low, high = (end.astype(np.float64) for end in bounds(points))
-    extent = float(np.linalg.norm(high - low))
+    extent = math.hypot(*(high - low))
     largest = np.maximum(np.abs(low), np.abs(high))
     if extent == 0.0 or not largest.max() < np.finfo(np.float32).max:
         return []

@@ -1,6 +1,8 @@
 """The files of surveys: LAS, LAZ and E57. Their readers are installed with `petalfit[formats]`."""
 
+import struct
 from pathlib import Path
+from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
 
@@ -8,7 +10,14 @@ from petalfit.observations.columns import Columns
 from petalfit.observations.errors import TargetError
 from petalfit.observations.memory import check_memory
 
+if TYPE_CHECKING:
+    import laspy
+
 _BYTES_A_POINT = 200
+# The length of the longest header of LAS, and the least lengths of its records.
+_LAS_HEADER, _RECORD, _EXTENDED_RECORD = 375, 54, 60
+# A compressed chunk begins with a whole point, which takes at least this many bytes.
+_CHUNK = 20
 
 
 def read_las(path: Path) -> Columns:
@@ -25,26 +34,65 @@ def read_las(path: Path) -> Columns:
     except ImportError:
         raise _not_installed("LAS and LAZ files", "laspy") from None
 
-    with path.open("rb") as opened, laspy.open(opened) as file:
-        header = file.header
-        _check_las(path, header.point_count, header.point_format.size, header.are_points_compressed)
-        check_memory(_BYTES_A_POINT * header.point_count)
-        points = file.read()
+    size = path.stat().st_size
+    with path.open("rb") as opened:
+        _check_records(opened.read(_LAS_HEADER), size)
+        opened.seek(0)
+        # Not the parallel decompressor: it trusts the lengths in a damaged file, and ends the process.
+        backend = laspy.LazBackend.Lazrs
+        with laspy.open(opened, closefd=False, laz_backend=backend) as file:
+            if file.header.are_points_compressed:
+                _check_chunks(opened, file.header.offset_to_point_data, size)
+            return _las_columns(file, size)
+
+
+def _check_records(header: bytes, size: int) -> None:
+    """Raises an error for records that the file is too short for; laspy would look for all of them."""
+    if header[:4] != b"LASF":
+        raise TargetError("is no LAS or LAZ file: it does not begin with LASF; export it again.")
+    if len(header) < 104:
+        raise TargetError("is cut short: its header is not complete; copy it again.")
+    start, points, count = struct.unpack_from("<HII", header, 94)
+    end = start + _RECORD * count
+    if header[25] >= 4 and len(header) >= 247:
+        after, extended = struct.unpack_from("<QI", header, 235)
+        end = max(end, after + _EXTENDED_RECORD * extended if extended else 0)
+    if end > size or points > size:
+        raise TargetError("is damaged or cut short: its records end after the file; copy it again.")
+
+
+def _check_chunks(file: BinaryIO, start: int, size: int) -> None:
+    """Raises an error for a table of more compressed chunks than the file can hold."""
+    place = file.tell()
+    file.seek(start)
+    (table,) = struct.unpack("<q", file.read(8))
+    if table == -1:  # The table was written last, and its place after it.
+        file.seek(-8, 2)
+        (table,) = struct.unpack("<q", file.read(8))
+    file.seek(max(table, 0) + 4)
+    (chunks,) = struct.unpack("<I", file.read(4))
+    file.seek(place)
+    if chunks * _CHUNK > size:
+        raise TargetError("is damaged or cut short: its chunks are longer than it; copy it again.")
+
+
+def _las_columns(file: "laspy.LasReader", size: int) -> Columns:
+    """The points of an open file of some size."""
+    header = file.header
+    if header.point_count == 0:
+        raise TargetError("holds no points; export it again.")
+    found = size // max(header.point_format.size, 1)
+    if not header.are_points_compressed and found < header.point_count:
+        raise TargetError(
+            f"is cut short: {header.point_count} points announced, at most {found} found; copy it again."
+        )
+    check_memory(_BYTES_A_POINT * header.point_count)
+    points = file.read()
     names = {*points.point_format.dimension_names}
     colours = None
     if {"red", "green", "blue"} <= names:
         colours = np.array([points.red, points.green, points.blue]).T
     return _columns(np.array([points.x, points.y, points.z]).T, colours)
-
-
-def _check_las(path: Path, count: int, size: int, is_compressed: bool) -> None:
-    if count == 0:
-        raise TargetError("holds no points; export it again.")
-    found = path.stat().st_size // size
-    if not is_compressed and found < count:
-        raise TargetError(
-            f"is cut short: {count} points announced, at most {found} found; copy it again."
-        )
 
 
 def read_e57(path: Path) -> Columns:

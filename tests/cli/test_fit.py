@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from petalfit import FitWarning, Status, __version__
+from petalfit import FitWarning, Status, WarningKind, __version__
 from petalfit.fitting import FitResult
 from petalfit.observations import PointCloud
 from petalfit.synthetic import Case, make, random_petal
@@ -68,6 +68,8 @@ def test_results_say_what_made_them(petalfit: Call, instantly, cloud_file: Path)
 
 def test_init_and_noise(petalfit: Call, cloud: PointCloud, tmp_path: Path) -> None:
     cloud.save(tmp_path / "petal.csv")
+    with (tmp_path / "petal.csv").open("a") as file:
+        file.write("nan,nan,nan\n")
     values = {name: float(value) for name, value in vars(CASE.model).items()}
     before = dataclasses.replace(known_pose(), model=CASE.model, values=values)
     before.save(tmp_path / "before.json")
@@ -78,6 +80,11 @@ def test_init_and_noise(petalfit: Call, cloud: PointCloud, tmp_path: Path) -> No
     assert [start.label for start in result.starts] == ["given"]
     assert result.noise == 0.06
     assert "noise 0.06 (given)" in outcome.out
+    # What was noted when the file was read is the first of the warnings, everywhere.
+    note = "1 of 1,501 points are NaN or infinite, and were left out"
+    assert (result.warnings[0], result.warnings[0].kind) == (note, WarningKind.TARGET)
+    assert f"warning: {note}" in outcome.err
+    assert note in (tmp_path / "out/report.html").read_text(encoding="utf-8")
 
 
 def test_quiet_says_nothing(

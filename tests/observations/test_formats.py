@@ -1,5 +1,6 @@
 """Formats of scanners and surveys, and what each file that was once misread is read as."""
 
+import io
 import struct
 import sys
 
@@ -10,9 +11,17 @@ from formats import e57_of, las_of, pcd_of, ply_of, text_of
 
 from petalfit.observations import PointCloud, TargetError
 from petalfit.observations.columns import understood
+from petalfit.observations.sheets import sheet_notes
 
 POINTS = np.random.default_rng(0).normal(size=(40, 3))
 SINGLE = POINTS.astype(np.float32)
+
+
+def saved(array: np.ndarray) -> bytes:
+    """The content of an .npy file."""
+    file = io.BytesIO()
+    np.save(file, array)
+    return file.getvalue()
 
 
 @pytest.fixture
@@ -377,6 +386,29 @@ class TestConditions:
             load("b.ply", ply_of(POINTS, "double x, double y, double z", exact.tobytes())).notes
             == ()
         )
+
+    @pytest.mark.parametrize("thickness", [0.4, 1.0, 3.0])
+    @pytest.mark.parametrize("n", [2000, 20000])
+    def test_two_sheets_are_named(self, load, thickness, n):
+        rng = np.random.default_rng(1)
+        u, v = rng.uniform(-1.0, 1.0, (2, n))
+        middle = np.column_stack([15 * u, 30 * v, 6 * v**2 - 4 * u**2])
+        normal = np.column_stack([8 * u / 15, -12 * v / 30, np.ones(n)])
+        normal /= np.linalg.norm(normal, axis=1)[:, None]
+        noise = 0.03 * rng.normal(size=(n, 3))
+        assert load("one.npy", saved(middle + noise)).notes == ()
+        side = rng.integers(0, 2, (n, 1)) - 0.5
+        (note,) = load("two.npy", saved(middle + thickness * side * normal + noise)).notes
+        found = float(note.removeprefix("the points lie on two sheets that are ").split()[0])
+        assert found == pytest.approx(thickness, rel=0.1)
+
+    @pytest.mark.parametrize("unit", [1e-100, 1.0, 1e100])
+    def test_tubes_and_clutter_are_no_two_sheets(self, unit):
+        rng = np.random.default_rng(2)
+        turn, along = rng.uniform(0.0, 2 * np.pi, 2000), rng.uniform(0.0, 30.0, 2000)
+        tube = np.column_stack([np.cos(turn), np.sin(turn), along])
+        assert sheet_notes(unit * tube) == []
+        assert sheet_notes(unit * rng.normal(size=(2000, 3))) == []
 
     def test_weights(self, load):
         weights = np.where(np.arange(40) == 3, np.nan, 1.0)

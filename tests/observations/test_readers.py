@@ -373,7 +373,7 @@ class TestFiles:
         garbage = np.random.default_rng(1).bytes(5000)
         kind = suffix.removeprefix(".")
         message = (
-            rf"is damaged, cut short or no \.{kind} file .*\(|is no (text|{kind.upper()} file)"
+            rf"is damaged, cut short or no \.{kind} file .*\(|is no (text|.*{kind.upper()} file)"
         )
         refused(file("a" + suffix, garbage), message)
 

@@ -148,7 +148,7 @@ def test_what_cannot_be_used_is_said(opened, cloud, tmp_path):
     complaint(opened, "notes.docx is of no kind that can be fitted")
     (tmp_path / "wrong.ply").write_bytes(cloud.read_bytes())
     upload(opened, tmp_path / "wrong.ply")
-    complaint(opened, "wrong.ply: is damaged, cut short or no .ply file")
+    complaint(opened, "wrong.ply: is no PLY file")
     (tmp_path / "empty.npy").touch()
     upload(opened, tmp_path / "empty.npy")
     complaint(opened, "empty.npy is empty")

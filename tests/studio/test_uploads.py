@@ -59,7 +59,7 @@ def bomb() -> bytes:
         ("a.xyz", b"", "a.xyz is empty"),
         ("../../etc/a.exe", b"x", "a.exe is of no kind that can be fitted"),
         ("a.gltf", b"{}", "a.gltf names other files"),
-        ("a.ply", b"solid", "a.ply: is damaged, cut short or no .ply file"),
+        ("a.ply", b"solid", "a.ply: is no PLY file: it does not begin with ply"),
         ("a.npz", bomb(), "a.npz: it unpacks to 100 MB"),
         ("a.json", b"[", "a.json: it is no JSON"),
         ("a.json", b"[" * 100_000, "a.json: it is no JSON"),
