@@ -1,7 +1,7 @@
 """Whether points lie on two parallel sheets, as those of both faces of a thick petal do."""
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Num
 
 from petalfit.observations.validation import LARGEST_COORDINATE, bounds
 
@@ -15,7 +15,7 @@ _POINTS = (20_000, 2_000)
 _NEIGHBOURS = (40, 100, 250)
 
 
-def sheet_notes(points: Float64[np.ndarray, "n 3"]) -> list[str]:
+def sheet_notes(points: Num[np.ndarray, "n 3"]) -> list[str]:
     """A note if most of the points lie on two sheets, with the distance between them.
 
     Args:
@@ -24,7 +24,7 @@ def sheet_notes(points: Float64[np.ndarray, "n 3"]) -> list[str]:
     Returns:
         The note, or no notes.
     """
-    low, high = bounds(points)
+    low, high = (end.astype(np.float64) for end in bounds(points))
     extent = float((high - low).max())
     if not 0.0 < extent < LARGEST_COORDINATE:
         return []
@@ -39,7 +39,7 @@ def sheet_notes(points: Float64[np.ndarray, "n 3"]) -> list[str]:
 
 
 def _thickness(
-    points: Float64[np.ndarray, "n 3"], low: Float64[np.ndarray, "3"], extent: float
+    points: Num[np.ndarray, "n 3"], low: Float64[np.ndarray, "3"], extent: float
 ) -> float | None:
     """The distance between two sheets, relative to the extent, or None if there are not two."""
     # Imported late: SciPy takes longer than reading a small file.

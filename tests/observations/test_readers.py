@@ -372,9 +372,7 @@ class TestFiles:
     def test_garbage(self, file, suffix):
         garbage = np.random.default_rng(1).bytes(5000)
         kind = suffix.removeprefix(".")
-        message = (
-            rf"is damaged, cut short or no \.{kind} file .*\(|is no (text|.*{kind.upper()} file)"
-        )
+        message = rf"is damaged, cut short or no \.{kind} file .*\(|is no (text|.* file)"
         refused(file("a" + suffix, garbage), message)
 
     @pytest.mark.parametrize("name", ["a.obj", "a.stl"])
