@@ -100,12 +100,14 @@ def valid_normals(normals: ArrayLike, n: int) -> Float64[np.ndarray, "n 3"]:
     )
     for start in range(0, n, _CHUNK):
         part = array[start : start + _CHUNK]
+        x, y, z = part.T
         with np.errstate(over="ignore"):
-            length = np.sqrt(np.einsum("nk,nk->n", part, part))
-        other = np.flatnonzero(~(np.abs(length - 1.0) <= UNIT_LENGTH))
-        # Divided by the largest component first, because the square of 1e-200 is zero.
-        scaled = part[other] / np.maximum.reduce(np.abs(part[other].T))[:, None]
-        part[other] = scaled / np.sqrt(np.einsum("nk,nk->n", scaled, scaled))[:, None]
+            length = np.sqrt(x * x + y * y + z * z)
+        if not (length.min() > 1e-100 and length.max() < 1e100):
+            # Divided by the largest component first, because the square of 1e-200 is zero.
+            part /= np.maximum(np.maximum(np.abs(x), np.abs(y)), np.abs(z))[:, None]
+            length = np.sqrt(x * x + y * y + z * z)
+        part /= np.where(np.abs(length - 1.0) <= UNIT_LENGTH, 1.0, length)[:, None]
     return array
 
 
