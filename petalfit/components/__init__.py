@@ -28,6 +28,8 @@ from petalfit.surfaces import Ellipsoid as Ellipsoid
 from petalfit.surfaces import Parameter as Parameter
 from petalfit.surfaces import Rectangle as Rectangle
 from petalfit.surfaces import parameter as parameter
+from petalfit.components.scaling import lengths as lengths
+from petalfit.components.scaling import scales_with_lengths as scales_with_lengths
 from petalfit.surfaces import parameters as parameters
 
 

@@ -23,10 +23,13 @@ class AbstractObservation(abc.ABC):
     Attributes:
         kind: The name of the kind in files and reports, for instance "cloud".
         unit: The unit of its distances: "length" (the target's unit of length) or "px".
+        notes: What is odd about the data, and what was done about it when they were read, in whole
+            sentences. Fits repeat it as warnings.
     """
 
     kind: ClassVar[str]
     unit: ClassVar[str]
+    notes: tuple[str, ...] = ()
     kinds: ClassVar[dict[str, type[AbstractObservation]]] = {}
 
     def __init_subclass__(cls, **options: object) -> None:

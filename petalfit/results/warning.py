@@ -15,6 +15,7 @@ class WarningKind(WithMeaning):
         meaning: The explanation of the kind, in one sentence.
     """
 
+    TARGET = "target", "The data are odd, or were mended when they were read."
     NOT_DETERMINED = "not_determined", "The target does not determine a parameter."
     AT_BOUND = "at_bound", "A parameter ended at the bound of its range."
     COMBINATION = "combination", "Only a combination of parameters is determined."

@@ -90,6 +90,11 @@ def misfit_of(part: Agreement, strained: bool, noise: float | None, in_space: bo
     )
 
 
+def about_targets(parts: Sequence[Agreement]) -> list[FitWarning]:
+    """What was noted about each target when it was read."""
+    return [FitWarning(note, WarningKind.TARGET) for part in parts for note in part.target.notes]
+
+
 def at_bounds(
     values: Mapping[str, float], names: Sequence[str], declared: Mapping[str, Parameter]
 ) -> list[FitWarning]:
