@@ -16,6 +16,8 @@ from petalfit.components.posed import bare as bare
 from petalfit.components.receptacle import Bowl as Bowl
 from petalfit.components.receptacle import ConeReceptacle as ConeReceptacle
 from petalfit.components.receptacle import CylinderReceptacle as CylinderReceptacle
+from petalfit.components.scaling import lengths as lengths
+from petalfit.components.scaling import scales_with_lengths as scales_with_lengths
 from petalfit.components.sepal import Sepal as Sepal
 from petalfit.components.spline_petal import SplinePetal as SplinePetal
 from petalfit.components.stamen import Anther as Anther
@@ -28,8 +30,6 @@ from petalfit.surfaces import Ellipsoid as Ellipsoid
 from petalfit.surfaces import Parameter as Parameter
 from petalfit.surfaces import Rectangle as Rectangle
 from petalfit.surfaces import parameter as parameter
-from petalfit.components.scaling import lengths as lengths
-from petalfit.components.scaling import scales_with_lengths as scales_with_lengths
 from petalfit.surfaces import parameters as parameters
 
 

@@ -90,7 +90,7 @@ def segment(
 def resized(
     picture: Float32[np.ndarray, "h w"] | UInt8[np.ndarray, "h w 3"], shape: tuple[int, int]
 ) -> Any:
-    """A picture with another number of rows and columns: averages of its pixels, or values between them."""
+    """A picture of another shape: averages of its pixels, or values between them."""
     from PIL import Image
 
     if picture.shape[:2] == shape:

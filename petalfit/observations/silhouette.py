@@ -18,6 +18,7 @@ from petalfit.observations.coverage import coverage, read_coverage
 from petalfit.observations.errors import TargetError
 from petalfit.observations.observation import AbstractObservation
 from petalfit.observations.pieces import petal_alone
+from petalfit.observations.undistortion import undistorted
 from petalfit.observations.validation import ArrayLike
 
 # A mask with fewer covered pixels does not show a shape.
@@ -35,7 +36,8 @@ class Silhouette(AbstractObservation):
             whole numbers there may be any two, of which the higher is the petal's. Small other pieces
             are left out.
         camera: The camera that took the image; None stands for an orthographic front view of unknown
-            scale and position.
+            scale and position. The camera of a larger image is scaled; distortion by a lens is removed
+            from the mask and from the camera.
         weights: (H, W), at least 0: how far the mask is trusted at each pixel; for instance 0 where
             another object hides the petal. The mask is never trusted along the border of the image,
             because the petal may go on beyond it.
@@ -57,11 +59,8 @@ class Silhouette(AbstractObservation):
         weights: ArrayLike | None = None,
     ) -> None:
         mask = _valid_mask(mask)
-        if camera is not None and mask.shape != camera.shape:
-            raise TargetError(
-                f"the mask has {mask.shape[0]} × {mask.shape[1]} pixels and its camera "
-                f"{camera.shape[0]} × {camera.shape[1]} (rows × columns); they must agree."
-            )
+        if camera is not None:
+            camera = _of_the_mask(camera, mask.shape)
         if weights is not None:
             weights = np.array(weights, np.float64)
             if weights.shape != mask.shape:
@@ -70,6 +69,8 @@ class Silhouette(AbstractObservation):
                 )
             if not (np.isfinite(weights).all() and (weights >= 0).all() and weights.any()):
                 raise TargetError("weights must be finite, at least 0, and not 0 everywhere.")
+        if camera is not None and camera.lens is not None:
+            mask, weights, camera = undistorted(mask, weights, camera)
         mask, notes = petal_alone(mask, None if weights is None else weights > 0)
         fields = {"mask": mask, "camera": camera, "weights": weights, "notes": notes}
         for name, value in fields.items():
@@ -167,6 +168,30 @@ def write_mask(
     grey = mask * np.uint8(255) if mask.dtype == bool else np.rint(255 * mask).astype(np.uint8)
     with atomic_path(path) as temporary:
         Image.fromarray(grey).save(temporary, format="PNG")
+
+
+def _of_the_mask(camera: Camera, shape: tuple[int, int]) -> Camera:
+    """The camera of a mask, which may be smaller than the image of its camera.
+
+    Raises:
+        TargetError: The mask is no smaller copy of the image.
+    """
+    if camera.shape == shape:
+        return camera
+    (rows, columns), (of_rows, of_columns) = shape, camera.shape
+    scale = math.sqrt(rows * columns / (of_rows * of_columns))
+    is_smaller = (
+        scale < 1 and max(abs(rows - scale * of_rows), abs(columns - scale * of_columns)) < 1
+    )
+    if is_smaller:
+        return camera.resized(shape)
+    hint = "they must agree, or the mask be a smaller copy of the image."
+    if shape == camera.shape[::-1]:
+        hint = "one of them lies on its side: save the mask as the image of the camera is stored."
+    raise TargetError(
+        f"the mask has {rows} × {columns} pixels and its camera {of_rows} × {of_columns} "
+        f"(rows × columns); {hint}"
+    )
 
 
 def _valid_mask(mask: ArrayLike) -> np.ndarray:

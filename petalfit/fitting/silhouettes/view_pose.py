@@ -66,10 +66,11 @@ def view_frames(
 def _unit(
     family: AbstractFamily, template: AbstractSurface, names: Sequence[str], ratio: float
 ) -> float:
-    """The length of the model's unit in that of the cameras, whose unit is often that of a scene of size 1.
+    """The length of the model's unit in that of the cameras.
 
-    Typical ranges belong to petals of typical size, so that a petal of another size is fitted in another
-    unit. It is 1 if a length is held, and for nearly typical petals if the shape has lengths of its own.
+    Cameras often have the unit of a scene of size 1. Typical ranges belong to petals of typical size, so
+    that a petal of another size is fitted in another unit. It is 1 if a length is held, and for nearly
+    typical petals if the shape has lengths of its own.
 
     Args:
         family: The family of the component.
