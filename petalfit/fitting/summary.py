@@ -219,10 +219,14 @@ def _with_unit_1(posed: Posed) -> Posed:
 
     Its scale remains; the lengths of the component are to be multiplied by the former unit.
     """
-    shifts = (float(posed.unit) * float(getattr(posed, f"shift_{axis}")) for axis in "xyz")
-    turns = (posed.turn_x, posed.turn_y, posed.turn_z)
-    one = np.float64(1.0)
-    return Posed(posed.surface, posed.rotation, posed.origin, one, posed.scale, *shifts, *turns)
+    unit = float(posed.unit)
+    return dataclasses.replace(
+        posed,
+        unit=np.float64(1.0),
+        shift_x=unit * float(posed.shift_x),
+        shift_y=unit * float(posed.shift_y),
+        shift_z=unit * float(posed.shift_z),
+    )
 
 
 def _pose_unit(name: str, posed: Posed) -> float:

@@ -7,7 +7,6 @@ centre is at (j + ½, i + ½).
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -106,7 +105,7 @@ class Camera:
         translation: ArrayLike,
         shape: tuple[int, int],
         *,
-        distortion: Sequence[float] = (),
+        distortion: ArrayLike = (),
         fisheye: bool = False,
     ) -> Camera:
         """A pinhole camera, or one with a lens: with y = K (R X + t), X appears at (y₁, y₂)/y₃.
@@ -136,7 +135,7 @@ class Camera:
         translation = _finite(translation, (3,), "translation")
         matrix = intrinsics @ np.column_stack([rotation, translation])
         shape = _valid_shape(shape)
-        coefficients = _finite(distortion, (len(distortion),), "distortion")
+        coefficients = _finite(distortion, (np.size(distortion),), "distortion")
         lens = lens_of(intrinsics, coefficients, fisheye, shape, _NEGLIGIBLE)
         return cls(
             matrix=matrix, rotation=rotation, translation=translation, shape=shape, lens=lens
@@ -216,11 +215,10 @@ class Camera:
             focal = across * lens.focal[0], down * lens.focal[1]
             centre = across * lens.centre[0], down * lens.centre[1]
             lens = Lens(focal, centre, lens.coefficients, lens.fisheye)
-        translation = self.translation
         return Camera(
             matrix=np.diag([across, down, 1.0]) @ self.matrix,
             rotation=self.rotation,
-            translation=translation,
+            translation=self.translation,
             shape=(rows, columns),
             lens=lens,
         )
@@ -298,8 +296,12 @@ def _lens(content: Any) -> Lens:
     focal, centre = (_finite(content[name], (2,), name) for name in ("focal", "centre"))
     count = 4 if content["fisheye"] is True else 8
     coefficients = _finite(content["coefficients"], (count,), "coefficients")
-    pairs = ((float(x), float(y)) for x, y in (focal, centre))
-    return Lens(*pairs, tuple(map(float, coefficients)), content["fisheye"] is True)
+    return Lens(
+        (float(focal[0]), float(focal[1])),
+        (float(centre[0]), float(centre[1])),
+        tuple(map(float, coefficients)),
+        content["fisheye"] is True,
+    )
 
 
 def _valid_rotation(rotation: ArrayLike, *, exact: bool = False) -> np.ndarray:

@@ -10,6 +10,7 @@ from jaxtyping import Shaped
 
 from petalfit.observations.camera import Camera
 from petalfit.observations.capture import read_capture
+from petalfit.observations.errors import TargetError
 from petalfit.observations.images import IMAGE_SUFFIXES
 from petalfit.observations.point_cloud import PointCloud
 from petalfit.observations.silhouette import Silhouette

@@ -120,10 +120,9 @@ def _near_edge(alone: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     from scipy import ndimage
 
     inside = alone >= 0.5
-    edge = ndimage.binary_dilation(inside, iterations=2) & ~ndimage.binary_erosion(
-        inside, iterations=2
-    )
-    return resized(edge.astype(np.float32), shape) >= 0.5
+    outer = np.asarray(ndimage.binary_dilation(inside, iterations=2))
+    inner = np.asarray(ndimage.binary_erosion(inside, iterations=2))
+    return resized((outer > inner).astype(np.float32), shape) >= 0.5
 
 
 def _likely(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -135,8 +134,8 @@ def _on_holes(petal: np.ndarray, size: int) -> list[str]:
     """A note on holes, if they are more than specks."""
     from scipy import ndimage
 
-    labels: Any
-    labels, _ = ndimage.label(_holes(petal))
+    labels = np.empty(petal.shape, np.int32)
+    ndimage.label(_holes(petal), output=labels)
     areas = np.bincount(labels.ravel())[1:]
     count = int(np.count_nonzero(areas >= max(_SPECK_PIXELS, _SPECK * size)))
     if not count:
@@ -155,10 +154,10 @@ def _on_stalk(petal: np.ndarray) -> list[str]:
     depth = np.asarray(ndimage.distance_transform_edt(small))
     radius = _STALK_WIDTH * depth.max()
     blade = np.asarray(ndimage.distance_transform_edt(depth <= radius)) <= radius + 1
-    labels: Any
-    labels, count = ndimage.label(small & ~blade, np.ones((3, 3)))
+    labels = np.empty(small.shape, np.int32)
+    ndimage.label(small & ~blade, np.ones((3, 3)), output=labels)
     longest, found = 0.0, None
-    for label in range(1, count + 1):
+    for label in range(1, int(labels.max()) + 1):
         y, x = np.nonzero(labels == label)
         length = math.hypot(np.ptp(y) + 1, np.ptp(x) + 1)
         if length > longest:
