@@ -243,7 +243,7 @@ class Camera:
         """
         try:
             fields = dict(content)
-            fields["shape"] = tuple(fields["shape"])
+            fields["shape"] = _valid_shape(fields["shape"])
             if "pixels_per_unit" in fields:
                 return cls.orthographic(**fields)
             if "K" in fields:
@@ -252,7 +252,7 @@ class Camera:
                 matrix=_finite(fields["matrix"], (3, 4), "matrix"),
                 rotation=_valid_rotation(fields["rotation"], exact=True),
                 translation=_finite(fields["translation"], (3,), "translation"),
-                shape=_valid_shape(fields["shape"]),
+                shape=fields["shape"],
                 lens=_lens(fields["lens"]) if fields.get("lens") else None,
             )
         except (KeyError, TypeError, ValueError, OverflowError) as error:
@@ -323,7 +323,7 @@ def _valid_rotation(rotation: ArrayLike, *, exact: bool = False) -> np.ndarray:
     return u @ v
 
 
-def _valid_shape(shape: tuple[int, int]) -> tuple[int, int]:
+def _valid_shape(shape: object) -> tuple[int, int]:
     sides = [*shape] if isinstance(shape, tuple | list) else []
     whole = [isinstance(side, int | np.integer) and 0 < side <= LARGEST_SIDE for side in sides]
     if len(sides) != 2 or not all(whole):

@@ -158,7 +158,8 @@ def _share_of_border(found: np.ndarray) -> float:
 def _is_ground(found: np.ndarray) -> bool:
     """Whether a region is what objects lie on: it fills the border, or nearly all of the picture."""
     share = _share_of_border(found)
-    return share > _MOST_OF_BORDER or (share > _SOME_OF_BORDER and found.mean() > _MOST_OF_PICTURE)
+    fills = bool(found.mean() > _MOST_OF_PICTURE)
+    return share > _MOST_OF_BORDER or (share > _SOME_OF_BORDER and fills)
 
 
 def _check_no_ground(found: np.ndarray, pointed: bool) -> None:

@@ -123,7 +123,7 @@ def test_heic_without_its_reader(tmp_path, monkeypatch):
 def test_a_bomb_is_refused_from_its_header(tmp_path, monkeypatch):
     grey(255 * LEAF).save(tmp_path / "mask.png")
     monkeypatch.setattr("petalfit.observations.images.available_memory", lambda: 1000)
-    with pytest.raises(TargetError, match="90 × 60 pixels, which take .* GB"):
+    with pytest.raises(TargetError, match=r"90 × 60 pixels, which take .* GB"):
         Silhouette.load(tmp_path / "mask.png")
 
 
