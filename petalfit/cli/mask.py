@@ -35,7 +35,7 @@ Points = Annotated[
         metavar="X,Y",
         help="A place on the petal, in pixels from the left and from the top; repeat it for parts of "
         "other colours. Without it, the mask is the largest region that differs most from the border of "
-        "the photo.",
+        "the photo, or the largest object on the paper of a scan.",
     ),
 ]
 
