@@ -18,8 +18,8 @@ Targets = Annotated[
         help="Point cloud (.ply .xyz .txt .csv .npy .npz) or mesh (.ply .obj .stl .glb .gltf). Without "
         "--pose it is in the frame and unit of the model: its length along +y from the plane y = 0, its "
         "width along x. Or mask (.png .tif), white where the petal is, or with an alpha channel; "
-        "`petalfit mask` makes one from a photo. Or the folder of a capture: transforms.json or a model of "
-        "COLMAP, and masks or images. Several targets are fitted together.",
+        "`petalfit mask` makes one from a photo. Or the folder of a capture: transforms.json or a model "
+        "of COLMAP, and masks or images. Several targets are fitted together.",
     ),
 ]
 Cameras = Annotated[
@@ -28,8 +28,8 @@ Cameras = Annotated[
         name="camera",
         metavar="CAMERA.json",
         help="Camera of the mask; repeat it for several masks, in their order. Or one transforms.json of "
-        "a NeRF tool or model of COLMAP, which has the cameras of all masks by name. A single mask without a camera is a "
-        "front view of unknown scale.",
+        "a NeRF tool or model of COLMAP, which has the cameras of all masks by name. A "
+        "single mask without a camera is a front view of unknown scale.",
     ),
 ]
 Folder = Annotated[

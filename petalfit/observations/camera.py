@@ -135,7 +135,7 @@ class Camera:
         translation = _finite(translation, (3,), "translation")
         matrix = intrinsics @ np.column_stack([rotation, translation])
         shape = _valid_shape(shape)
-        coefficients = _finite(distortion, (np.size(distortion),), "distortion")
+        coefficients = _finite(distortion, np.shape(np.asarray(distortion)), "distortion").ravel()
         lens = lens_of(intrinsics, coefficients, fisheye, shape, _NEGLIGIBLE)
         return cls(
             matrix=matrix, rotation=rotation, translation=translation, shape=shape, lens=lens
