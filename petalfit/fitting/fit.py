@@ -110,7 +110,8 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
         pose: "known": clouds and cameras are in the model's frame and unit. "rigid": the cloud lies
             anywhere, in the model's unit, or what cameras of any unit see. "similarity": the unit of the
             cloud is unknown too, and the result's pose has the scale. Parameters that a pose makes
-            redundant keep their values: c_z of a PeonyPetal, and with "similarity" length of a BladePetal.
+            redundant keep their values: c_z of a PeonyPetal, and with "similarity" length of a
+            BladePetal.
         camera: The camera of all masks that are not a `Silhouette` with its own. A single mask may have
             no camera: it is then taken for an orthographic front view of unknown scale and position, the
             lengths are relative, and the result's pose maps the model to pixels.

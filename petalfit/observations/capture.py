@@ -41,13 +41,19 @@ def read_capture(folder: str | os.PathLike[str]) -> list[Silhouette]:
     if given:
         return [Silhouette.load(path, frame.camera) for frame, path in given]
     found = [(frame, _image(folder, frame)) for frame in frames]
-    shown = [_of_image(path, frame) for frame, path in found if path is not None]
-    if not shown:
+    images = [_of_image(path, frame) for frame, path in found if path is not None]
+    if not images:
         raise TargetError(
             f"{folder} has cameras of {len(frames)} images, such as {frames[0].image}, and neither these "
             "images nor masks of them in a folder masks."
         )
-    return shown
+    photos = [silhouette for silhouette, is_photo in images if is_photo]
+    if photos:
+        note = (
+            f"Masks were found in {len(photos)} of the photos; `petalfit mask` shows what it finds."
+        )
+        object.__setattr__(photos[0], "notes", (note, *photos[0].notes))
+    return [silhouette for silhouette, _ in images]
 
 
 def _masks(folder: Path, frames: list[Frame]) -> list[tuple[Frame, Path]]:
@@ -85,18 +91,15 @@ def _first_file(paths: Iterable[Path]) -> Path | None:
     return next((path for path in paths if path.is_file()), None)
 
 
-def _of_image(path: Path, frame: Frame) -> Silhouette:
-    """The mask that an image is or has, or that is found in it."""
+def _of_image(path: Path, frame: Frame) -> tuple[Silhouette, bool]:
+    """The mask that an image is or has, or that is found in it, and whether it is a photo."""
     try:
-        return Silhouette.load(path, frame.camera)
+        return Silhouette.load(path, frame.camera), False
     except TargetError:
         photo = read_photo(path)
     try:
-        found = Silhouette(segment(photo), frame.camera)
+        return Silhouette(segment(photo), frame.camera), True
     except TargetError as error:
         raise TargetError(
             f"{path}: {error} Save masks as masks/{path.stem}.png, made by petalfit mask."
         ) from None
-    note = f"The mask of {path.name} was found in the photo; petalfit mask {path.name} shows it."
-    object.__setattr__(found, "notes", (note, *found.notes))
-    return found

@@ -48,10 +48,6 @@ def read_coverage(path: str | os.PathLike[str]) -> Float64[np.ndarray, "h w"]:
             f"{os.fspath(path)} looks like a photo and no mask; `petalfit mask {os.fspath(path)} -o "
             "MASK.png` makes a mask of it."
         ) from None
-    except TargetError as error:
-        if str(error).startswith(os.fspath(path)):
-            raise
-        raise TargetError(f"{os.fspath(path)}: {error}") from None
 
 
 def coverage(array: Shaped[np.ndarray, "h w"]) -> Float64[np.ndarray, "h w"]:

@@ -8,7 +8,7 @@ from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
 from petalfit.observations.camera import Camera
-from petalfit.observations.errors import TargetError
+from petalfit.observations.errors import TargetError, naming
 from petalfit.observations.images import IMAGE_SUFFIXES
 
 _SHOWN = 6  # names in a message
@@ -32,10 +32,10 @@ class Frame(NamedTuple):
 def reading_cameras(path: Path) -> Iterator[None]:
     """Turns what goes wrong while a file of cameras is read into an error that names the file."""
     try:
-        yield
-    except TargetError as error:
-        text = str(error)
-        raise TargetError(text if text.startswith(str(path)) else f"{path}: {text}") from None
+        with naming(path):
+            yield
+    except TargetError:
+        raise
     except FileNotFoundError as error:
         missing = error.filename or path
         raise TargetError(

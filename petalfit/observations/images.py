@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from petalfit.observations.errors import TargetError
+from petalfit.observations.errors import TargetError, naming
 from petalfit.observations.memory import available_memory
 
 if TYPE_CHECKING:
@@ -35,17 +35,15 @@ def opened_image(path: str | os.PathLike[str]) -> Iterator[Image]:
     _prepare(Path(path))
     try:
         # Pillow warns of damaged parts that it can do without, and of sizes that are checked here.
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), naming(path):
             warnings.simplefilter("ignore")
             with _opened(path) as image:
                 _check_size(image)
                 yield image
     except FileNotFoundError:
         raise TargetError(f"{os.fspath(path)} does not exist; check the path.") from None
-    except TargetError as error:
-        if str(error).startswith(os.fspath(path)):
-            raise
-        raise TargetError(f"{os.fspath(path)}: {error}") from None
+    except TargetError:
+        raise
     except Exception as error:  # Pillow raises errors of any kind for damaged files
         reason = str(error) or type(error).__name__
         raise TargetError(f"{os.fspath(path)} cannot be read as an image: {reason}") from None

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Float64
 from petalfit.observations.atomic import atomic_path
 from petalfit.observations.camera import Camera
 from petalfit.observations.coverage import coverage, read_coverage
-from petalfit.observations.errors import TargetError
+from petalfit.observations.errors import TargetError, naming
 from petalfit.observations.observation import AbstractObservation
 from petalfit.observations.pieces import petal_alone
 from petalfit.observations.undistortion import undistorted
@@ -147,12 +147,8 @@ class Silhouette(AbstractObservation):
         Raises:
             TargetError: The file cannot be read, or is a photo instead of a mask.
         """
-        try:
+        with naming(path):
             return cls(read_coverage(path), camera)
-        except TargetError as error:
-            if str(error).startswith(os.fspath(path)):
-                raise
-            raise TargetError(f"{os.fspath(path)}: {error}") from None
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes a grey PNG of 8 bits, black for the background; completely or not at all."""
