@@ -115,8 +115,8 @@ class Camera:
             rotation: R, (3, 3), from the world's frame to the camera's.
             translation: t, (3,), in the world's unit of length.
             shape: The numbers of rows and columns of the image.
-            distortion: The coefficients of the lens in the order of OpenCV: k₁, k₂, p₁, p₂, k₃, k₄, k₅,
-                k₆, or k₁ to k₄ of a fisheye; see `Lens`. Missing ones are 0.
+            distortion: The coefficients of the lens, (n,), in the order of OpenCV: k₁, k₂, p₁, p₂, k₃,
+                k₄, k₅, k₆, or k₁ to k₄ of a fisheye. Missing ones are 0.
             fisheye: Whether the lens is a fisheye.
 
         Raises:

@@ -71,7 +71,9 @@ def read_frames(path: str | os.PathLike[str]) -> Camera | list[Frame]:
         elif is_colmap(path):
             return read_colmap(path)
         elif path.is_dir():
-            raise TargetError(f"there is no {_TRANSFORMS} and no model of COLMAP in this folder.")
+            raise TargetError(
+                f"it is a folder without {_TRANSFORMS} and without a model of COLMAP."
+            )
         content = _json(path)
         if isinstance(content, dict) and "frames" in content:
             return _frames(content, path)

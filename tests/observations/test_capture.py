@@ -107,7 +107,7 @@ def test_folders_without_what_is_needed(capture, tmp_path):
     with pytest.raises(TargetError, match="is no folder"):
         read_capture(tmp_path / "missing")
     (empty := tmp_path / "empty").mkdir()
-    with pytest.raises(TargetError, match=r"no transforms\.json and no model of COLMAP"):
+    with pytest.raises(TargetError, match=r"is a folder without transforms\.json"):
         read_capture(empty)
     Image.new("RGB", (80, 60), (90, 90, 90)).save(capture / "images/f_0.png")
     with pytest.raises(TargetError, match=r"f_0.png: .*Save masks as masks/f_0.png"):
