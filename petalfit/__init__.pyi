@@ -54,6 +54,7 @@ from .observations import Silhouette as Silhouette
 from .observations import TargetError as TargetError
 from .observations import Texture as Texture
 from .observations import read_cameras as read_cameras
+from .observations import read_capture as read_capture
 from .observations import read_transforms as read_transforms
 from .results import Agreement as Agreement
 from .results import Discrepancy as Discrepancy

@@ -18,7 +18,8 @@ Targets = Annotated[
         help="Point cloud (.ply .xyz .txt .csv .npy .npz) or mesh (.ply .obj .stl .glb .gltf). Without "
         "--pose it is in the frame and unit of the model: its length along +y from the plane y = 0, its "
         "width along x. Or mask (.png .tif), white where the petal is, or with an alpha channel; "
-        "`petalfit mask` makes one from a photo. Several targets are fitted together.",
+        "`petalfit mask` makes one from a photo. Or the folder of a capture: transforms.json or a model "
+        "of COLMAP, and masks or images. Several targets are fitted together.",
     ),
 ]
 Cameras = Annotated[
@@ -27,8 +28,8 @@ Cameras = Annotated[
         name="camera",
         metavar="CAMERA.json",
         help="Camera of the mask; repeat it for several masks, in their order. Or one transforms.json of "
-        "a NeRF tool, which has the cameras of all masks by name. A single mask without a camera is a "
-        "front view of unknown scale.",
+        "a NeRF tool or model of COLMAP, which has the cameras of all masks by name. A "
+        "single mask without a camera is a front view of unknown scale.",
     ),
 ]
 Folder = Annotated[
@@ -180,36 +181,30 @@ def fit(
 
 
 def _read(targets: tuple[Path, ...], cameras: tuple[Path, ...]) -> "list[PointCloud | Silhouette]":
-    """Reads all target files, masks with their cameras."""
-    from petalfit.observations import IMAGE_SUFFIXES, read_target
+    """Reads all target files, masks with their cameras, and folders of captures."""
+    from petalfit.observations import is_mask_file, read_targets
 
-    masks = [path for path in targets if path.suffix.lower() in IMAGE_SUFFIXES]
+    masks = [path for path in targets if is_mask_file(path)]
     require(
         bool(masks) or not cameras, "--camera is for masks, and there is none among the targets."
     )
     seen = dict(zip(masks, _cameras(masks, cameras), strict=True))
-    return [read_target(path, seen.get(path)) for path in targets]
+    return [target for path in targets for target in read_targets(path, seen.get(path))]
 
 
 def _cameras(masks: list[Path], files: tuple[Path, ...]) -> "list[Camera | None]":
     """A camera for each mask, or None for every mask."""
-    from petalfit.observations import Camera, read_cameras
+    from petalfit.observations import Camera, cameras_of, read_frames
 
     if not files:
         return [None] * len(masks)
-    found = [read_cameras(path) for path in files]
-    if len(found) == 1 and isinstance(found[0], dict):
-        by_name = {Path(name).stem: camera for name, camera in found[0].items()}
-        missing = [str(path) for path in masks if path.stem not in by_name]
-        require(
-            not missing,
-            f"{files[0]} has no camera for {', '.join(missing)}; it has those of {', '.join(by_name)}.",
-        )
-        return [by_name[path.stem] for path in masks]
+    found = [read_frames(path) for path in files]
+    if len(found) == 1 and isinstance(found[0], list):
+        return [*cameras_of(masks, found[0], files[0])]
     require(
         len(found) == len(masks) and all(isinstance(camera, Camera) for camera in found),
         f"{len(files)} --camera for {len(masks)} masks: give one for each, in the same order, or a "
-        "single transforms.json.",
+        "single transforms.json or model of COLMAP.",
     )
     return [camera for camera in found if isinstance(camera, Camera)]
 

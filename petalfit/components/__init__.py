@@ -16,6 +16,8 @@ from petalfit.components.posed import bare as bare
 from petalfit.components.receptacle import Bowl as Bowl
 from petalfit.components.receptacle import ConeReceptacle as ConeReceptacle
 from petalfit.components.receptacle import CylinderReceptacle as CylinderReceptacle
+from petalfit.components.scaling import lengths as lengths
+from petalfit.components.scaling import scales_with_lengths as scales_with_lengths
 from petalfit.components.sepal import Sepal as Sepal
 from petalfit.components.spline_petal import SplinePetal as SplinePetal
 from petalfit.components.stamen import Anther as Anther

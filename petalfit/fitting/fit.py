@@ -103,13 +103,15 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
         model: A component or a pattern of colours, a class or an instance. Parameters that are not free
             keep the values of `init` or the instance, or the class's defaults. Or "auto": the best petal.
         target: For a component, a cloud: an (N, 3) array, a `PointCloud`, a trimesh mesh or cloud, or the
-            path of a file. Or a silhouette: a `Silhouette`, an (H, W) mask, or the path of an image. Or a
-            list of these, which are fitted jointly, each in units of its own noise. For a pattern, a
-            `Texture`, an array or the path of an image that makes one, or a cloud with colours.
-        pose: "known": clouds and cameras are in the model's frame and unit. "rigid": the cloud, or what
-            the cameras see, lies anywhere, in the model's unit. "similarity": the unit of the cloud is
-            unknown too, and the result's pose has the scale. Parameters that a pose makes redundant
-            keep their values: c_z of a PeonyPetal, and with "similarity" length of a BladePetal.
+            path of a file. Or a silhouette: a `Silhouette`, an (H, W) mask, or the path of an image. Or
+            the folder of a capture (see `read_capture`). Or a list of these, which are fitted jointly,
+            each in units of its own noise. For a pattern, a `Texture`, an array or the path of an image
+            that makes one, or a cloud with colours.
+        pose: "known": clouds and cameras are in the model's frame and unit. "rigid": the cloud lies
+            anywhere, in the model's unit, or what cameras of any unit see. "similarity": the unit of the
+            cloud is unknown too, and the result's pose has the scale. Parameters that a pose makes
+            redundant keep their values: c_z of a PeonyPetal, and with "similarity" length of a
+            BladePetal.
         camera: The camera of all masks that are not a `Silhouette` with its own. A single mask may have
             no camera: it is then taken for an orthographic front view of unknown scale and position, the
             lengths are relative, and the result's pose maps the model to pixels.

@@ -8,7 +8,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from petalfit.components import Parameter, Posed, bare, parameters
+from petalfit.components import (
+    Parameter,
+    Posed,
+    bare,
+    lengths,
+    parameters,
+    scales_with_lengths,
+)
 from petalfit.fitting.families.family import AbstractFamily
 from petalfit.fitting.inference import verdict
 from petalfit.fitting.inference.discrepancy import discrepancy_of
@@ -26,6 +33,7 @@ from petalfit.observations import AbstractObservation
 from petalfit.results import (
     Agreement,
     FitWarning,
+    Posterior,
     Start,
     WarningKind,
     standard_errors,
@@ -101,6 +109,20 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
     pose, pose_stderr = Pose.identity(), {}
     freedom = float(len(names)) if best.freedom is None else best.freedom
     if isinstance(source, Posed) and in_space:
+        if request.pose == "rigid" and source.unit != 1 and scales_with_lengths(source.surface):
+            unit = float(source.unit)
+            scaled = lengths(source)
+            factors = np.where(np.isin(names, scaled), unit, 1.0)
+            squares = np.outer(factors, factors)
+            matrix, by_noise = matrix * squares, by_noise * squares
+            if posterior is not None:
+                posterior = Posterior(posterior.names, posterior.covariance * squares)
+            values = _times(values, scaled, unit)
+            starts = tuple(
+                dataclasses.replace(start, values=_times(start.values, scaled, unit))
+                for start in starts
+            )
+            source = _with_unit_1(source)
         pose = source.placement
         errors = standard_errors(names, matrix)
         pose_stderr = {
@@ -185,6 +207,26 @@ def _seen_from(end: Iterate, posed: Posed) -> Iterate:
     """An end with its pose relative to that of another model."""
     assert isinstance(end.model, Posed)
     return dataclasses.replace(end, model=end.model.seen_from(posed))
+
+
+def _times(values: dict[str, float], names: Sequence[str], factor: float) -> dict[str, float]:
+    """The values with those of some names multiplied by a factor."""
+    return {name: x * factor if name in names else x for name, x in values.items()}
+
+
+def _with_unit_1(posed: Posed) -> Posed:
+    """The same surface at the same place, with its shifts counted in the target's unit.
+
+    Its scale remains; the lengths of the component are to be multiplied by the former unit.
+    """
+    unit = float(posed.unit)
+    return dataclasses.replace(
+        posed,
+        unit=np.float64(1.0),
+        shift_x=unit * float(posed.shift_x),
+        shift_y=unit * float(posed.shift_y),
+        shift_z=unit * float(posed.shift_z),
+    )
 
 
 def _pose_unit(name: str, posed: Posed) -> float:

@@ -6,6 +6,7 @@ centre is at (j + ½, i + ½).
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,10 +14,14 @@ import numpy as np
 from jaxtyping import Float, Float64
 
 from petalfit.observations.errors import TargetError
+from petalfit.observations.lens import Lens, lens_of
 from petalfit.observations.validation import ArrayLike
 
 # An image with more rows or columns is taken for a mistake.
 LARGEST_SIDE = 32768
+_SHOWN = 200  # characters of a wrong value in a message
+_LARGEST = 1e12  # a larger number is a mistake, and its products overflow
+_NEGLIGIBLE = 0.1  # pixels by which a lens may move every place without being a distorting one
 _ORTHONORMAL = 1e-5  # tolerance of R Rᵀ = I, met by rotations that were written with six digits
 
 
@@ -32,12 +37,15 @@ class Camera:
         translation: (3,), in the world's unit of length; its third component is 0 for an orthographic
             camera.
         shape: The numbers of rows and columns of the image.
+        lens: The distortion of the photo's lens, of which the matrix knows nothing; None for a pinhole.
+            A `Silhouette` undistorts its mask, so that its own camera has none.
     """
 
     matrix: Float64[np.ndarray, "3 4"]
     rotation: Float64[np.ndarray, "3 3"]
     translation: Float64[np.ndarray, "3"]
     shape: tuple[int, int]
+    lens: Lens | None = None
 
     def __init__(self, **fields: Any) -> None:
         for name, value in fields.items():
@@ -96,14 +104,20 @@ class Camera:
         rotation: ArrayLike,
         translation: ArrayLike,
         shape: tuple[int, int],
+        *,
+        distortion: ArrayLike = (),
+        fisheye: bool = False,
     ) -> Camera:
-        """A pinhole camera: with y = K (R X + t), X appears at (y₁, y₂)/y₃.
+        """A pinhole camera, or one with a lens: with y = K (R X + t), X appears at (y₁, y₂)/y₃.
 
         Args:
             K: The intrinsic matrix, (3, 3): [[f_x, skew, c_x], [0, f_y, c_y], [0, 0, 1]] in pixels.
             rotation: R, (3, 3), from the world's frame to the camera's.
             translation: t, (3,), in the world's unit of length.
             shape: The numbers of rows and columns of the image.
+            distortion: The coefficients of the lens, (n,), in the order of OpenCV: k₁, k₂, p₁, p₂, k₃,
+                k₄, k₅, k₆, or k₁ to k₄ of a fisheye. Missing ones are 0.
+            fisheye: Whether the lens is a fisheye.
 
         Raises:
             TargetError: An argument is invalid; the message says which one and why.
@@ -120,8 +134,11 @@ class Camera:
         rotation = _valid_rotation(rotation)
         translation = _finite(translation, (3,), "translation")
         matrix = intrinsics @ np.column_stack([rotation, translation])
+        shape = _valid_shape(shape)
+        coefficients = _finite(distortion, np.shape(np.asarray(distortion)), "distortion").ravel()
+        lens = lens_of(intrinsics, coefficients, fisheye, shape, _NEGLIGIBLE)
         return cls(
-            matrix=matrix, rotation=rotation, translation=translation, shape=_valid_shape(shape)
+            matrix=matrix, rotation=rotation, translation=translation, shape=shape, lens=lens
         )
 
     @classmethod
@@ -171,10 +188,48 @@ class Camera:
         intrinsics = np.array([[focal, 0, middle[0]], [0, focal, middle[1]], [0, 0, 1]])
         return cls.perspective(intrinsics, rotation, -rotation @ eye, shape)
 
+    def pinhole(self, margin: int = 0) -> Camera:
+        """The camera without the distortion of its lens, of an image with a margin on each side."""
+        if self.lens is None and margin == 0:
+            return self
+        rows, columns = self.shape
+        moved = np.eye(3)
+        moved[:2, 2] = margin
+        return Camera(
+            matrix=moved @ self.matrix,
+            rotation=self.rotation,
+            translation=self.translation,
+            shape=(rows + 2 * margin, columns + 2 * margin),
+        )
+
+    def resized(self, shape: tuple[int, int]) -> Camera:
+        """The camera of the same image with other numbers of rows and columns.
+
+        Raises:
+            TargetError: The shape is no valid one.
+        """
+        rows, columns = _valid_shape(shape)
+        across, down = columns / self.shape[1], rows / self.shape[0]
+        lens = self.lens
+        if lens is not None:
+            focal = across * lens.focal[0], down * lens.focal[1]
+            centre = across * lens.centre[0], down * lens.centre[1]
+            lens = Lens(focal, centre, lens.coefficients, lens.fisheye)
+        return Camera(
+            matrix=np.diag([across, down, 1.0]) @ self.matrix,
+            rotation=self.rotation,
+            translation=self.translation,
+            shape=(rows, columns),
+            lens=lens,
+        )
+
     def to_json(self) -> dict[str, Any]:
         """The camera as lossless JSON, for `from_json`."""
         arrays = {name: getattr(self, name).tolist() for name in ("matrix", "rotation")}
-        return arrays | {"translation": self.translation.tolist(), "shape": list(self.shape)}
+        described = arrays | {"translation": self.translation.tolist(), "shape": list(self.shape)}
+        if self.lens is not None:
+            described["lens"] = dataclasses.asdict(self.lens)
+        return described
 
     @classmethod
     def from_json(cls, content: Any) -> Camera:
@@ -188,7 +243,7 @@ class Camera:
         """
         try:
             fields = dict(content)
-            fields["shape"] = tuple(fields["shape"])
+            fields["shape"] = _valid_shape(fields["shape"])
             if "pixels_per_unit" in fields:
                 return cls.orthographic(**fields)
             if "K" in fields:
@@ -197,9 +252,10 @@ class Camera:
                 matrix=_finite(fields["matrix"], (3, 4), "matrix"),
                 rotation=_valid_rotation(fields["rotation"], exact=True),
                 translation=_finite(fields["translation"], (3,), "translation"),
-                shape=_valid_shape(fields["shape"]),
+                shape=fields["shape"],
+                lens=_lens(fields["lens"]) if fields.get("lens") else None,
             )
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             if isinstance(error, TargetError):
                 raise
             raise TargetError(
@@ -224,13 +280,28 @@ class Camera:
 def _finite(value: ArrayLike, shape: tuple[int, ...], name: str) -> np.ndarray:
     try:
         array = np.array(value, np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         array = np.empty(0)
     if array.shape != shape:
-        raise TargetError(f"{name} must be numbers of shape {shape}; received {value!r}.")
+        received = repr(value) if len(repr(value)) <= _SHOWN else f"{repr(value)[:_SHOWN]} …"
+        raise TargetError(f"{name} must be numbers of shape {shape}; received {received}.")
     if not np.isfinite(array).all():
         raise TargetError(f"{name} has a NaN or an infinite number.")
+    if (np.abs(array) > _LARGEST).any():
+        raise TargetError(f"{name} has a number beyond ±{_LARGEST:g}.")
     return array
+
+
+def _lens(content: Any) -> Lens:
+    focal, centre = (_finite(content[name], (2,), name) for name in ("focal", "centre"))
+    count = 4 if content["fisheye"] is True else 8
+    coefficients = _finite(content["coefficients"], (count,), "coefficients")
+    return Lens(
+        (float(focal[0]), float(focal[1])),
+        (float(centre[0]), float(centre[1])),
+        tuple(map(float, coefficients)),
+        content["fisheye"] is True,
+    )
 
 
 def _valid_rotation(rotation: ArrayLike, *, exact: bool = False) -> np.ndarray:
@@ -252,7 +323,7 @@ def _valid_rotation(rotation: ArrayLike, *, exact: bool = False) -> np.ndarray:
     return u @ v
 
 
-def _valid_shape(shape: tuple[int, int]) -> tuple[int, int]:
+def _valid_shape(shape: object) -> tuple[int, int]:
     sides = [*shape] if isinstance(shape, tuple | list) else []
     whole = [isinstance(side, int | np.integer) and 0 < side <= LARGEST_SIDE for side in sides]
     if len(sides) != 2 or not all(whole):

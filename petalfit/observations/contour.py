@@ -77,7 +77,10 @@ class Contour:
 def trace(
     mask: Shaped[np.ndarray, "h w"],
 ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"], Float[np.ndarray, " n"]]:
-    """Places along the contours at coverage ½, outward normals, and lengths, all in pixels."""
+    """Places along the outer contours at coverage ½, outward normals, and lengths, all in pixels.
+
+    Rims of holes are left out: no surface has holes.
+    """
     from skimage.measure import find_contours
 
     if not mask.any():
@@ -88,6 +91,7 @@ def trace(
     inner = mask[top : rows[-1] + 2, left : columns[-1] + 2]
     # scikit-image gives rows and columns of pixel centres, which become x and y.
     curves = [curve[:, ::-1] + (left + 0.5, top + 0.5) for curve in find_contours(inner, 0.5)]
+    curves = [curve for curve in curves if not _is_rim_of_hole(curve)]
     runs = [np.append(0.0, np.cumsum(np.hypot(*np.diff(curve, axis=0).T))) for curve in curves]
     longest = max((run[-1] for run in runs), default=0.0)
     kept = [k for k, run in enumerate(runs) if run[-1] >= max(_SPECK * longest, 8.0)]
@@ -98,6 +102,13 @@ def trace(
     place, tangent, length = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
     # scikit-image runs along every contour with the covered area on the same side.
     return place, np.stack([tangent[:, 1], -tangent[:, 0]], axis=-1), length
+
+
+def _is_rim_of_hole(curve: np.ndarray) -> bool:
+    """Whether a closed curve has the covered area around it, which is a matter of its direction."""
+    x, y = curve.T
+    is_closed = bool(np.all(curve[0] == curve[-1]))
+    return is_closed and float(np.sum(x[:-1] * y[1:] - x[1:] * y[:-1])) < 0
 
 
 def _evenly(

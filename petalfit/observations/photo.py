@@ -7,12 +7,16 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Float32, UInt8
 
+from petalfit.observations.coverage import is_mask
 from petalfit.observations.errors import TargetError
-from petalfit.observations.images import opened_image
+from petalfit.observations.images import opened_image, upright
 
-_WORKING_SIDE = 400  # pixels; shapes are found in a smaller image, edges in the photo itself
+_WORKING_SIDE = 400  # pixels; what belongs to the object is found in a small picture,
+_EDGE_SIDE = 1600  # and its piece is cut out in a larger one, between whose pixels the edge runs
+# The shares of the border and of the picture that no object fills.
+_MOST_OF_BORDER, _SOME_OF_BORDER, _MOST_OF_PICTURE = 0.5, 0.2, 2 / 3
 _CLUSTERS = 6
 _STIFFNESS = 300.0  # the random walker's beta: how strongly a change of colour impedes it
 _SMALLEST = 1e-3  # the smallest area of an object, as a fraction of the image
@@ -20,31 +24,37 @@ _PASSES = 2
 _NECK = 0.25  # half width of a neck between two objects, relative to the thickest part's, at most
 
 
-def read_photo(path: str | os.PathLike[str]) -> Float[np.ndarray, "h w c"]:
-    """Reads the colours of an image from 0 to 1, and its alpha channel unless that is constant.
+def read_photo(path: str | os.PathLike[str]) -> UInt8[np.ndarray, "h w c"]:
+    """Reads the colours of an image as bytes, and its alpha channel if that cuts an object out.
 
     Raises:
         TargetError: The file cannot be read as an image.
     """
-    from PIL import ImageOps
-
     with opened_image(path) as opened:
-        image = ImageOps.exif_transpose(opened)  # upright, whichever way the camera was held
-        array = np.asarray(image.convert("RGBA"), np.float64) / 255
-    return array if np.ptp(array[..., 3]) > 0 else array[..., :3]
+        image = upright(opened)
+        if image.has_transparency_data:
+            array = np.asarray(image.convert("RGBA"))
+            return array if is_mask(array[..., 3]) else array[..., :3]
+        if image.mode[0] in "IF":  # Pillow would cut 16 bits off at 255
+            grey = np.asarray(image, np.float64)
+            grey = grey * (255 / max(float(grey.max(initial=0)), 1e-9))
+            return np.repeat(np.clip(grey, 0, 255).astype(np.uint8)[..., None], 3, axis=2)
+        return np.asarray(image.convert("RGB"))
 
 
 def segment(
-    photo: Float[np.ndarray, "h w c"], points: Sequence[tuple[float, float]] = ()
+    photo: UInt8[np.ndarray, "h w c"] | Float[np.ndarray, "h w c"],
+    points: Sequence[tuple[float, float]] = (),
 ) -> Bool[np.ndarray, "h w"]:
     """Finds the mask of one object in a photo.
 
     An alpha channel is used as the mask. Otherwise the colours along the border are taken for those of
     the background and, if points are given, the colours around them for those of the object; a random
-    walker on the colours then finds the boundary between the two.
+    walker on the colours then finds the boundary between the two. If that object fills the border, as
+    the paper of a scan does, it is the background, and the object is the largest that lies on it.
 
     Args:
-        photo: Colours from 0 to 1, (H, W, 3), or (H, W, 4) with an alpha channel.
+        photo: Colours as bytes or from 0 to 1, (H, W, 3), or (H, W, 4) with an alpha channel.
         points: Places (x, y) in pixels that lie on the object. Without points, the object is the largest
             region whose colours differ most from the border of the photo.
 
@@ -52,24 +62,78 @@ def segment(
         A mask that is true on the object, which is one piece without holes.
 
     Raises:
-        TargetError: A point lies outside the photo, or no object stands out.
+        TargetError: A point lies outside the photo, no object stands out, or it fills the border.
     """
-    from skimage.color import rgb2lab
-    from skimage.transform import resize
-
     rows, columns = photo.shape[:2]
     for x, y in points:
         if not (0 <= x < columns and 0 <= y < rows):
             raise TargetError(
                 f"the point {x:g},{y:g} lies outside the photo of {columns} × {rows} pixels (x, y)."
             )
+    if photo.dtype != np.uint8:
+        photo = np.rint(255 * np.clip(photo, 0, 1)).astype(np.uint8)
     if photo.shape[2] == 4:
-        return _one_piece(np.asarray(photo[..., 3] >= 0.5), [(x, y) for x, y in points])
-    scale = min(1.0, _WORKING_SIDE / max(rows, columns))
-    shape = max(8, round(rows * scale)), max(8, round(columns * scale))
-    factors = np.array([shape[1] / columns, shape[0] / rows])
-    seeds = [(float(x), float(y)) for x, y in (np.asarray(points).reshape(-1, 2) + 0.5) * factors]
-    lab = rgb2lab(resize(photo, (*shape, 3), anti_aliasing=scale < 1))
+        likely = resized(photo[..., 3] / np.float32(255), _within(photo.shape, _EDGE_SIDE))
+        seeds = _scaled(points, photo.shape, likely.shape)
+    else:
+        likely, seeds = _likely(photo, points)
+    piece = _one_piece(likely >= 0.5, seeds)
+    _check_no_ground(piece, bool(points))
+    # Only the object stays, without holes, with its edge between the pixels of the smaller picture.
+    alone = np.where(piece, np.maximum(likely, 0.51), np.minimum(likely, 0.49))
+    found = resized(alone.astype(np.float32), (rows, columns)) >= 0.5
+    if photo.shape[2] == 4 and likely.shape != found.shape:
+        found = np.where(_near_edge(alone, found.shape), photo[..., 3] >= 128, found)
+    return found
+
+
+def resized(
+    picture: Float32[np.ndarray, "h w"] | UInt8[np.ndarray, "h w 3"], shape: tuple[int, int]
+) -> Any:
+    """A picture of another shape: averages of its pixels, or values between them."""
+    from PIL import Image
+
+    if picture.shape[:2] == shape:
+        return picture
+    image = Image.fromarray(picture)
+    return np.asarray(image.resize((shape[1], shape[0]), Image.Resampling.BILINEAR))
+
+
+def _within(shape: Sequence[int], side: int) -> tuple[int, int]:
+    """The shape of the same picture with at most `side` pixels a side."""
+    scale = min(1.0, side / max(shape[:2]))
+    return max(8, round(shape[0] * scale)), max(8, round(shape[1] * scale))
+
+
+def _scaled(
+    points: Sequence[tuple[float, float]], shape: Sequence[int], other: Sequence[int]
+) -> list[tuple[float, float]]:
+    """The places of points in a picture of another shape."""
+    across, down = other[1] / shape[1], other[0] / shape[0]
+    if across == down == 1:
+        return [(float(x), float(y)) for x, y in points]
+    return [((x + 0.5) * across, (y + 0.5) * down) for x, y in points]
+
+
+def _near_edge(alone: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """The pixels of a larger picture at which the edge in the smaller one may run."""
+    from scipy import ndimage
+
+    inside = alone >= 0.5
+    outer = np.asarray(ndimage.binary_dilation(inside, iterations=2))
+    inner = np.asarray(ndimage.binary_erosion(inside, iterations=2))
+    return resized((outer > inner).astype(np.float32), shape) >= 0.5
+
+
+def _likely(
+    photo: np.ndarray, points: Sequence[tuple[float, float]]
+) -> tuple[np.ndarray, list[tuple[float, float]]]:
+    """How likely the pixels of a smaller picture are the object's, from 0 to 1, and places on it."""
+    from skimage.color import rgb2lab
+
+    shape = _within(photo.shape, _WORKING_SIDE)
+    seeds = _scaled(points, photo.shape, shape)
+    lab = rgb2lab(resized(photo, shape))
     border = np.zeros(shape, bool)
     rim = max(2, round(0.03 * min(shape)))
     border[:rim], border[-rim:], border[:, :rim], border[:, -rim:] = True, True, True, True
@@ -78,9 +142,54 @@ def segment(
     # The colours of the region found so far help to find the rest of the object.
     for _ in range(_PASSES):
         found = _one_piece(_walk(lab, evidence, seeds) >= 0.5, seeds)
+        if not seeds and _is_ground(found):
+            found = _lying_on(lab, found)
+            seeds = [_inside(found)]
         evidence = _evidence(lab, found, ~found)
-    full = resize(_walk(lab, evidence, seeds), (rows, columns), order=1)
-    return _one_piece(np.asarray(full >= 0.5), [(x, y) for x, y in points])
+    likely = _walk(lab, evidence, seeds).astype(np.float32)
+    shape = _within(photo.shape, _EDGE_SIDE)
+    return resized(likely, shape), _scaled(seeds, likely.shape, shape)
+
+
+def _share_of_border(found: np.ndarray) -> float:
+    return float(np.concatenate([found[0], found[-1], found[:, 0], found[:, -1]]).mean())
+
+
+def _is_ground(found: np.ndarray) -> bool:
+    """Whether a region is what objects lie on: it fills the border, or nearly all of the picture."""
+    share = _share_of_border(found)
+    fills = bool(found.mean() > _MOST_OF_PICTURE)
+    return share > _MOST_OF_BORDER or (share > _SOME_OF_BORDER and fills)
+
+
+def _check_no_ground(found: np.ndarray, pointed: bool) -> None:
+    """Raises an error if what was found is the background."""
+    if not _is_ground(found):
+        return
+    remedy = "name more points on the petal" if pointed else "say where it is with --point x,y"
+    raise TargetError(
+        f"what was found fills {100 * found.mean():.0f} % of the photo and "
+        f"{100 * _share_of_border(found):.0f} % of its border, as a background does and no petal; "
+        f"{remedy}, or cut the photo so that the background is on all sides."
+    )
+
+
+def _inside(found: np.ndarray) -> tuple[float, float]:
+    """The place (x, y) farthest from the edge of a region."""
+    from scipy import ndimage
+
+    depth = np.asarray(ndimage.distance_transform_edt(found))
+    row, column = np.unravel_index(np.argmax(depth), depth.shape)
+    return float(column), float(row)
+
+
+def _lying_on(lab: np.ndarray, ground: np.ndarray) -> np.ndarray:
+    """The largest object that differs from the commonest colour of a ground and lies on it."""
+    from skimage.filters import gaussian, threshold_otsu
+    from skimage.segmentation import clear_border
+
+    away = gaussian(np.linalg.norm(lab - np.median(lab[ground], axis=0), axis=-1), 1.0)
+    return _one_piece(np.asarray(clear_border(away > threshold_otsu(away))), [])
 
 
 def _standing_out(lab: np.ndarray, border: np.ndarray) -> np.ndarray:

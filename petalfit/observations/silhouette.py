@@ -10,19 +10,19 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float, Float64
 
 from petalfit.observations.atomic import atomic_path
 from petalfit.observations.camera import Camera
-from petalfit.observations.errors import TargetError
-from petalfit.observations.images import opened_image
+from petalfit.observations.coverage import coverage, read_coverage
+from petalfit.observations.errors import TargetError, naming
 from petalfit.observations.observation import AbstractObservation
+from petalfit.observations.mask_pieces import petal_alone
+from petalfit.observations.undistortion import undistorted
 from petalfit.observations.validation import ArrayLike
 
 # A mask with fewer covered pixels does not show a shape.
 _FEWEST = 32
-# A further piece above this fraction of the largest one is another object, a smaller one a speck.
-_ANOTHER = 0.1
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
@@ -32,9 +32,12 @@ class Silhouette(AbstractObservation):
     The arrays are checked, copied to float64 and made read-only.
 
     Args:
-        mask: (H, W), bool, or coverage from 0 to 1: the fraction of each pixel that the petal covers.
+        mask: (H, W), bool, or coverage from 0 to 1: the fraction of each pixel that the petal covers. Of
+            whole numbers there may be any two, of which the higher is the petal's. Small other pieces
+            are left out.
         camera: The camera that took the image; None stands for an orthographic front view of unknown
-            scale and position.
+            scale and position. The camera of a larger image is scaled; distortion by a lens is removed
+            from the mask and from the camera.
         weights: (H, W), at least 0: how far the mask is trusted at each pixel; for instance 0 where
             another object hides the petal. The mask is never trusted along the border of the image,
             because the petal may go on beyond it.
@@ -56,11 +59,8 @@ class Silhouette(AbstractObservation):
         weights: ArrayLike | None = None,
     ) -> None:
         mask = _valid_mask(mask)
-        if camera is not None and mask.shape != camera.shape:
-            raise TargetError(
-                f"the mask has {mask.shape[0]} × {mask.shape[1]} pixels and its camera "
-                f"{camera.shape[0]} × {camera.shape[1]} (rows × columns); they must agree."
-            )
+        if camera is not None:
+            camera = _of_the_mask(camera, mask.shape)
         if weights is not None:
             weights = np.array(weights, np.float64)
             if weights.shape != mask.shape:
@@ -69,8 +69,11 @@ class Silhouette(AbstractObservation):
                 )
             if not (np.isfinite(weights).all() and (weights >= 0).all() and weights.any()):
                 raise TargetError("weights must be finite, at least 0, and not 0 everywhere.")
-        _check_one_object(mask if weights is None else np.where(weights > 0, mask, 0.0))
-        for name, value in ("mask", mask), ("camera", camera), ("weights", weights):
+        if camera is not None and camera.lens is not None:
+            mask, weights, camera = undistorted(mask, weights, camera)
+        mask, notes = petal_alone(mask, None if weights is None else weights > 0)
+        fields = {"mask": mask, "camera": camera, "weights": weights, "notes": notes}
+        for name, value in fields.items():
             if isinstance(value, np.ndarray):
                 value.setflags(write=False)
             object.__setattr__(self, name, value)
@@ -131,24 +134,60 @@ class Silhouette(AbstractObservation):
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], camera: Camera | None = None) -> Silhouette:
-        """Reads the mask from an image: its alpha channel if it has one, otherwise its grey values.
+        """Reads the mask from an image: its alpha channel if it has one, otherwise its values.
+
+        Of two values or colours, the higher one, or the one that is not the border's, is the petal's;
+        values between them are coverage.
 
         Args:
-            path: The path of the image: PNG, TIFF or any other format that Pillow reads.
+            path: The path of the image: PNG, TIFF or any other format that Pillow reads, or an array of
+                shape (H, W) in a `.npy` file.
             camera: The camera that took the image.
 
         Raises:
             TargetError: The file cannot be read, or is a photo instead of a mask.
         """
-        return cls(_read_mask(path), camera)
+        with naming(path):
+            return cls(read_coverage(path), camera)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes a grey PNG of 8 bits, black for the background; completely or not at all."""
-        from PIL import Image
+        write_mask(path, self.mask)
 
-        image = Image.fromarray(np.rint(255 * self.mask).astype(np.uint8))
-        with atomic_path(path) as temporary:
-            image.save(temporary, format="PNG")
+
+def write_mask(
+    path: str | os.PathLike[str], mask: Bool[np.ndarray, "h w"] | Float[np.ndarray, "h w"]
+) -> None:
+    """Writes a mask as a grey PNG of 8 bits, black for the background; completely or not at all."""
+    from PIL import Image
+
+    grey = mask * np.uint8(255) if mask.dtype == bool else np.rint(255 * mask).astype(np.uint8)
+    with atomic_path(path) as temporary:
+        Image.fromarray(grey).save(temporary, format="PNG")
+
+
+def _of_the_mask(camera: Camera, shape: tuple[int, int]) -> Camera:
+    """The camera of a mask, which may be smaller than the image of its camera.
+
+    Raises:
+        TargetError: The mask is no smaller copy of the image.
+    """
+    if camera.shape == shape:
+        return camera
+    (rows, columns), (of_rows, of_columns) = shape, camera.shape
+    scale = math.sqrt(rows * columns / (of_rows * of_columns))
+    is_smaller = (
+        scale < 1 and max(abs(rows - scale * of_rows), abs(columns - scale * of_columns)) < 1
+    )
+    if is_smaller:
+        return camera.resized(shape)
+    hint = "they must agree, or the mask be a smaller copy of the image."
+    if shape == camera.shape[::-1]:
+        hint = "one of them lies on its side: save the mask as the image of the camera is stored."
+    raise TargetError(
+        f"the mask has {rows} × {columns} pixels and its camera {of_rows} × {of_columns} "
+        f"(rows × columns); {hint}"
+    )
 
 
 def _valid_mask(mask: ArrayLike) -> np.ndarray:
@@ -163,6 +202,8 @@ def _valid_mask(mask: ArrayLike) -> np.ndarray:
             f"the mask has shape {array.shape} and type {array.dtype}, expected (H, W), bool or "
             "coverage from 0 to 1."
         )
+    if array.dtype.kind in "iu" and array.size and np.isin(array, (array.min(), array.max())).all():
+        array = coverage(array)
     array = array.astype(np.float64)
     if not np.isfinite(array).all():
         raise TargetError("the mask has a NaN or an infinite value.")
@@ -183,49 +224,6 @@ def _valid_mask(mask: ArrayLike) -> np.ndarray:
             "background 0?"
         )
     return array
-
-
-def _check_one_object(mask: np.ndarray) -> None:
-    """Raises an error if the mask shows a second object; small specks are allowed."""
-    from scipy import ndimage
-
-    labels = np.empty(mask.shape, np.int32)
-    ndimage.label(mask >= 0.5, np.ones((3, 3)), output=labels)
-    sizes = np.bincount(labels.ravel())[1:]
-    others = int(np.count_nonzero(sizes > _ANOTHER * sizes.max(initial=0))) - 1
-    if others > 0:
-        raise TargetError(
-            f"the mask shows several objects: {others} more than a tenth as large as the largest. Keep "
-            "one, or give the others weight 0."
-        )
-
-
-def _read_mask(path: str | os.PathLike[str]) -> np.ndarray:
-    with opened_image(path) as image:
-        if image.has_transparency_data:
-            alpha = np.asarray(image.convert("RGBA").getchannel("A"), np.float64) / 255
-            if np.ptp(alpha) > 0:
-                return alpha
-        array = np.asarray(image if image.mode[0] in "1LIF" else image.convert("RGB"))
-    if array.ndim == 3 and np.ptp(array[..., :3], axis=2).max() <= 2:
-        array = array[..., 0]
-    if array.ndim == 3 or _has_many_greys(array):
-        raise TargetError(
-            f"{os.fspath(path)} looks like a photo and no mask; `petalfit mask {os.fspath(path)} -o "
-            "MASK.png` makes a mask of it."
-        )
-    if array.dtype == bool:
-        return array.astype(np.float64)
-    return array / (65535 if array.max(initial=0) > 255 else 255)
-
-
-def _has_many_greys(array: np.ndarray) -> bool:
-    """Whether many pixels are grey: a mask is black or white except along a thin edge."""
-    if array.dtype == bool:
-        return False
-    top = 65535 if array.max(initial=0) > 255 else 255
-    between = (array > 0.1 * top) & (array < 0.9 * top)
-    return bool(between.mean() > 0.25)
 
 
 def _packed(array: np.ndarray) -> str:

@@ -8,7 +8,7 @@ from jaxtyping import Float64
 
 from petalfit.observations.columns import Columns
 from petalfit.observations.errors import TargetError
-from petalfit.observations.pieces import piece_notes
+from petalfit.observations.mesh_pieces import piece_notes
 from petalfit.observations.resolution import resolution_notes
 from petalfit.observations.validation import LARGEST_COORDINATE
 

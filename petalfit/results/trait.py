@@ -21,6 +21,7 @@ from petalfit.surfaces import (
 )
 
 _AT_ONCE = 100  # sheets that are measured together, because of memory
+_RELATIVE = 1e-3  # the largest step of a parameter that is always positive, relative to its value
 _STEP = 1e-4  # step of the central differences, in standard deviations of a typical range
 # Unit ("unit" for the target's unit of length), meaning, and identifier in the Plant Ontology or the
 # Plant Trait Ontology, where there is one.
@@ -94,6 +95,12 @@ def traits_of(
     own = [name for name in names if name in declared]
     sizing = [*own, *(name for name in names if name == "scale" and name not in declared)]
     steps = _STEP * np.array([np.ptp(declared[name].typical) for name in own]) / np.sqrt(12)
+    # Lengths in metres are small beside their typical ranges.
+    small = [
+        _RELATIVE * float(value_at(model, name)) if declared[name].bounds[0] > 0 else np.inf
+        for name in own
+    ]
+    steps = np.minimum(steps, small)
     # One sheet as fitted, and for each of its parameters one on either side.
     moved = np.array([value_at(model, name) for name in own], float) * np.ones(
         (1 + 2 * len(own), 1)

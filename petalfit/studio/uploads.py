@@ -11,7 +11,7 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 import viser
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 from viser import _messages
 
 from petalfit.fitting import FitResult
@@ -44,7 +44,11 @@ class Photo:
     target: Silhouette
 
     @classmethod
-    def of(cls, image: Float[np.ndarray, "h w c"], place: tuple[float, float] | None) -> Photo:
+    def of(
+        cls,
+        image: UInt8[np.ndarray, "h w c"] | Float[np.ndarray, "h w c"],
+        place: tuple[float, float] | None,
+    ) -> Photo:
         """Segments a photo; the petal is the object at a place (x, y), or the one that stands out most.
 
         Raises:
@@ -58,7 +62,8 @@ class Photo:
                 "with --point x,y", "below, in pixels from the left and the top"
             )
             raise TargetError(text) from None
-        return cls(image[..., :3], Silhouette(mask))
+        colours = image[..., :3] / 255 if image.dtype == np.uint8 else image[..., :3]
+        return cls(colours, Silhouette(mask))
 
 
 Read = PointCloud | Silhouette | Photo | Camera | FitResult

@@ -31,6 +31,7 @@ def silhouette(
     Raises:
         TargetError: The camera looks away from the surface or stands in it, or sees too little of it.
     """
+    camera = camera.pinhole()
     return Silhouette(coverage(outline_rings(surface, camera, resolution), camera.shape), camera)
 
 

@@ -111,8 +111,8 @@ def test_transforms_of_blender_take_the_size_from_the_image(tmp_path):
     ("fields", "match"),
     [
         ({"fl_x": 100.0}, "image .*a.png"),
-        ({"fl_x": 100.0, "w": 8, "h": 6, "k1": 0.1}, "distortion .k1."),
-        ({"w": 8, "h": 6, "camera_model": "OPENCV_FISHEYE", "fl_x": 1.0}, "OPENCV_FISHEYE"),
+        ({"fl_x": 100.0, "w": 8, "h": 6, "k4": 0.1}, "distortion k4 of this camera"),
+        ({"w": 8, "h": 6, "camera_model": "EQUIRECTANGULAR", "fl_x": 1.0}, "EQUIRECTANGULAR"),
         ({"w": 8, "h": 6}, "camera_angle_x"),
         ({"frames": []}, "no frames"),
         ({"frames": [{"file_path": "a.png"}], "fl_x": 1.0, "w": 8, "h": 6}, "transform_matrix"),

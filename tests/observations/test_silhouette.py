@@ -56,7 +56,7 @@ TWO = DISC | (np.hypot(ROW - 20, COLUMN - 52) < 6)
     [
         (DISC & False, {}, "blank"),
         (DISC | True, {}, "full"),
-        (255 * DISC, {}, "divide 8-bit grey values by 255"),
+        (255 * RAMP, {}, "divide 8-bit grey values by 255"),
         (np.where(DISC, np.nan, 0), {}, "NaN"),
         (np.dstack([DISC] * 3), {}, "petalfit mask PHOTO"),
         (DISC.ravel(), {}, r"expected \(H, W\)"),

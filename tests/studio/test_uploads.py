@@ -38,6 +38,7 @@ def test_a_file_becomes_what_it_holds():
     assert isinstance(mask, pf.Silhouette)
     assert mask.area == disc.sum()
     colours = np.where(disc[..., None], [200, 40, 90], [240, 240, 235]).astype(np.uint8)
+    colours[::2] -= 3  # an image of two colours would be a mask
     photo = read_upload("photo.png", png(colours))
     assert isinstance(photo, Photo)
     assert photo.target.area == pytest.approx(disc.sum(), rel=0.03)

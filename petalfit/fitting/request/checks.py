@@ -190,10 +190,11 @@ def check_view(contour: Contour, template: AbstractSurface) -> None:
     if depth.max() <= 0:
         raise TargetError(
             "the camera looks away from the petal, which lies behind it (z ≤ 0 in the camera's frame); "
-            "OpenCV cameras look along +z, and with pose='known' the petal begins at the origin."
+            "OpenCV cameras look along +z, and with pose='known' the petal begins at the origin; "
+            "pose='rigid' finds it anywhere."
         )
     if depth.min() <= 0:
         raise TargetError(
             "the camera stands in or beside the petal, part of which lies behind it; with pose='known' "
-            "the petal begins at the origin and runs along +y."
+            "the petal begins at the origin and runs along +y, and pose='rigid' finds it anywhere."
         )

@@ -14,7 +14,8 @@ from petalfit.observations import (
     Silhouette,
     TargetError,
     as_point_cloud,
-    read_target,
+    looks_like_a_mask,
+    read_targets,
 )
 
 
@@ -29,7 +30,7 @@ def as_targets(target: object, camera: Camera | None) -> list[AbstractObservatio
         TargetError: A target cannot be used, or no target needs the camera.
     """
     parts = target if isinstance(target, list | tuple) and _is_list_of_targets(target) else [target]
-    observations = [_as_target(part, camera).each_once() for part in parts]
+    observations = [read.each_once() for part in parts for read in _as_targets(part, camera)]
     if camera is not None and not any(isinstance(part, Silhouette) for part in observations):
         raise TargetError("camera is for masks, and there is none among the targets; leave it out.")
     return observations
@@ -70,6 +71,13 @@ def _is_list_of_targets(target: list | tuple) -> bool:
     )
 
 
+def _as_targets(target: object, camera: Camera | None) -> list[AbstractObservation]:
+    """The observations that a target is or, if it is the folder of a capture, has."""
+    if isinstance(target, str | os.PathLike):
+        return [*read_targets(target, camera)]
+    return [_as_target(target, camera)]
+
+
 def _as_target(target: object, camera: Camera | None) -> AbstractObservation:
     if isinstance(target, Silhouette):
         if target.camera is None and camera is not None:
@@ -77,15 +85,6 @@ def _as_target(target: object, camera: Camera | None) -> AbstractObservation:
         return target
     if isinstance(target, AbstractObservation):
         return target
-    if isinstance(target, str | os.PathLike):
-        return read_target(target, camera)
-    if isinstance(target, np.ndarray) and _looks_like_a_mask(target, camera):
+    if isinstance(target, np.ndarray) and looks_like_a_mask(target, camera):
         return Silhouette(target, camera)
     return as_point_cloud(target)
-
-
-def _looks_like_a_mask(array: np.ndarray, camera: Camera | None) -> bool:
-    """Whether an array is a mask, not a cloud of shape (N, 3). Pictures count; the mask refuses them."""
-    if array.ndim == 3:
-        return True
-    return array.ndim == 2 and (array.dtype == bool or camera is not None or min(array.shape) > 8)

@@ -9,7 +9,7 @@ from typing import cast
 import numpy as np
 from jaxtyping import Float
 
-from petalfit.components import Posed
+from petalfit.components import Posed, lengths, scales_with_lengths
 from petalfit.fitting.coordinates import Coordinates, in_doubles
 from petalfit.fitting.families.family import AbstractFamily
 from petalfit.fitting.likelihood.quadrature import Quadrature
@@ -19,7 +19,7 @@ from petalfit.fitting.silhouettes.observing import Part
 from petalfit.fitting.solver.observer import report
 from petalfit.fitting.starts.support import Shadow, search
 from petalfit.observations import Contour
-from petalfit.surfaces import AbstractSurface
+from petalfit.surfaces import AbstractSurface, value_at
 
 
 def view_frames(
@@ -43,10 +43,12 @@ def view_frames(
     part = Part(ObservedViews.of(contours), tuple(range(len(contours))))
     places = Quadrature.of(in_doubles(template)).places
     own = 0.5 * (places.min(axis=0) + places.max(axis=0))
+    ratio = size_in_space(shadows, centre) / float(np.linalg.norm(np.ptp(places, axis=0)))
+    unit = _unit(family, template, names, ratio)
     glances = []
     for k, rotation in enumerate(_TURNS):
         report(f"searching the pose, direction {k + 1} of {len(_TURNS)}")
-        posed = Posed(template, rotation, centre - rotation @ own, np.float64(1.0))
+        posed = Posed(template, rotation, centre - unit * rotation @ own, np.float64(unit))
         coordinates = family.rough(Coordinates.of(posed, names))
         (best,) = search(coordinates, shadows, 1, thorough=False)
         glances.append((best.score, coordinates, best.t))
@@ -59,6 +61,44 @@ def view_frames(
         found.append((joint.misfit(model), cast(Posed, model).at_rest(template)))
     found.sort(key=lambda one: one[0])
     return [frame for _, frame in found[:most]]
+
+
+def _unit(
+    family: AbstractFamily, template: AbstractSurface, names: Sequence[str], ratio: float
+) -> float:
+    """The length of the model's unit in that of the cameras.
+
+    Cameras often have the unit of a scene of size 1. Typical ranges belong to petals of typical size, so
+    that a petal of another size is fitted in another unit. It is 1 if a length is held, and for nearly
+    typical petals if the shape has lengths of its own.
+
+    Args:
+        family: The family of the component.
+        template: The component, of typical size.
+        names: Names of all free parameters.
+        ratio: The size of the petal before the cameras in sizes of the template.
+    """
+    gauges = family.gauges.get("rigid", ())
+    held = [name for name in lengths(template) if name not in (*names, *gauges)]
+    if any(float(value_at(template, name)) != 0 for name in held):
+        return 1.0
+    if not scales_with_lengths(template) and 1 / _TYPICAL < ratio < _TYPICAL:
+        return 1.0
+    return ratio
+
+
+def size_in_space(shadows: Sequence[Shadow], centre: Float[np.ndarray, "3"]) -> float:
+    """The size that an object at a place has in space, by the sizes of its shadows: their largest."""
+    sizes = []
+    for shadow in shadows:
+        depth = float(shadow.matrix[2] @ np.append(centre, 1.0))
+        pixels_per_unit = np.linalg.norm(shadow.matrix[0, :3]) / abs(depth)
+        if shadow.matrix[2, :3].any():
+            # Of the row of a perspective camera only the part across its axis is the focal length.
+            across = np.cross(shadow.matrix[0, :3], shadow.matrix[2, :3])
+            pixels_per_unit = np.linalg.norm(across) / abs(depth)
+        sizes.append(shadow.size / pixels_per_unit)
+    return float(max(sizes))
 
 
 def middle(shadows: Sequence[Shadow]) -> Float[np.ndarray, "3"]:
@@ -87,4 +127,5 @@ def _quarter_turns() -> list[Float[np.ndarray, "3 3"]]:
 
 
 _TURNS = _quarter_turns()
+_TYPICAL = 4.0  # a petal is of typical size if it is less than so many times larger or smaller
 _LOOKED_AT = 8  # number of directions, the best by support functions, in which contours are matched
