@@ -122,6 +122,8 @@ def batch(
             done = f"{latest[0].done} of {latest[0].total}" if latest else "none"
             _say(f"interrupted: {done} are finished and kept; the same command goes on.")
             return INTERRUPTED
+    for sentence in outcome.damaged:
+        _say(f"warning: {sentence}.")
     if not quiet:
         _summarise(outcome, out, time.monotonic() - began)
         if profile:
