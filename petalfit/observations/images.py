@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import struct
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
@@ -13,6 +15,9 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 
+# What Pillow raises for damaged files, besides its own errors.
+_DAMAGED = (OSError, ValueError, SyntaxError, EOFError, IndexError, KeyError, OverflowError, TypeError,
+            AttributeError, AssertionError, ZeroDivisionError, struct.error, zlib.error)  # fmt: skip
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".gif", ".webp", ".jpg", ".jpeg")
 
 
@@ -32,5 +37,5 @@ def opened_image(path: str | os.PathLike[str]) -> Iterator[Image]:
         raise TargetError(f"{os.fspath(path)} does not exist; check the path.") from None
     except TargetError:
         raise
-    except (OSError, ValueError, images.DecompressionBombError) as error:
+    except (*_DAMAGED, images.DecompressionBombError) as error:
         raise TargetError(f"{os.fspath(path)} cannot be read as an image: {error}") from None

@@ -140,7 +140,7 @@ def model_of(file: FitFile, kind: type[AbstractSurface]) -> AbstractSurface:
     usual = kind()
     options: dict[str, Any] = {}
     for name, given in file.options.items():
-        known = getattr(usual, name, None)
+        known: Any = getattr(usual, name, None)
         if name not in {field.name for field in dataclasses.fields(kind)}:
             raise SchemaError(f"{name} is no option of {kind.__name__}")
         if np.ndim(known):
