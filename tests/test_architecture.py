@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "petalfit"
 # A folder imports from earlier rows only.
 ROWS = (
-    {"version"},
+    {"version", "schema"},
     {"observations"},
     {"compilation"},
     {"surfaces"},

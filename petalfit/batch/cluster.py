@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
 LOCAL = "local"
-_CONNECT = "20s"
+_CONNECT = 20.0  # seconds
 
 
 @contextmanager
@@ -45,14 +46,29 @@ def connected(scheduler: str, workers: int | None) -> Iterator[Client]:
                 cluster.close()
         return
     try:
+        asyncio.run(_greet(scheduler))
         client = distributed.Client(scheduler, timeout=_CONNECT)
     except (OSError, ValueError) as error:
         raise TargetError(
-            f"no Dask scheduler answers at {scheduler} ({error}); start one with `dask scheduler`, or "
-            f"give --scheduler {LOCAL}."
+            f"no Dask scheduler answers at {scheduler} ({str(error) or 'silence'}); start one with "
+            f"`dask scheduler`, or give --scheduler {LOCAL}."
         ) from None
     with client:
         yield client
+
+
+async def _greet(scheduler: str) -> None:
+    """Returns when a scheduler has answered; a client would wait without end for one that is silent.
+
+    Raises:
+        OSError: It does not answer in time.
+    """
+    import distributed
+    from distributed.security import Security
+
+    arguments = Security().get_connection_args("client")
+    async with distributed.rpc(scheduler, connection_args=arguments) as greeted:
+        await asyncio.wait_for(greeted.identity(), _CONNECT)
 
 
 def as_finished(
@@ -62,6 +78,9 @@ def as_finished(
 
     If a worker dies, the cluster repeats its job on another one; a job that kills four workers is a
     `Crash`.
+
+    Raises:
+        TargetError: The scheduler has gone.
     """
     import distributed
 
@@ -70,6 +89,10 @@ def as_finished(
         job = futures.pop(future)
         if future.status == "finished":
             yield job, future.result()
+        elif future.status != "error":  # cancelled or lost, with the scheduler
+            raise TargetError(
+                "the Dask scheduler has gone. What is finished stays; start it, and run the batch again."
+            )
         else:
             error = future.exception()
             if not isinstance(error, distributed.KilledWorker):

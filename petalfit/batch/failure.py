@@ -30,4 +30,7 @@ class FitFailure:
         """The failure for an exception that a fit has raised."""
         if isinstance(error, TargetError):
             return cls(Status.UNUSABLE, str(error))
-        return cls(Status.ERROR, f"{type(error).__name__}: {error}")
+        text = f"{type(error).__name__}: {error}"
+        if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in text:
+            return cls(Status.CRASHED, "there was not enough memory for it; give fewer --workers")
+        return cls(Status.ERROR, text)

@@ -5,19 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from petalfit.batch.cluster import as_finished, connected
 from petalfit.batch.failure import FitFailure
 from petalfit.batch.interrupt import undisturbed
 from petalfit.batch.items import Item
+from petalfit.batch.lock import locked
 from petalfit.batch.many import CRASHED
 from petalfit.batch.processes import Crash, cores, in_order
-from petalfit.batch.records import Task, finished, keep, perform, read_record
+from petalfit.batch.records import Record, Task, finished, keep, perform, read_record
 from petalfit.batch.table import TABLE, check_pyarrow, write_table
 from petalfit.compilation.cache import folder_in_common
 from petalfit.observations import TargetError
 from petalfit.results import Status
+from petalfit.schema import SchemaError
 
 FITS = "fits"
 
@@ -52,11 +54,13 @@ class Outcome(NamedTuple):
         records: The records of this share's targets, in the order of the targets.
         fitted: The number of targets that this run has fitted.
         missing: The number of targets of the whole batch that have no record yet.
+        damaged: Sentences on damaged records: those of this share were fitted again, others left out.
     """
 
-    records: list[dict[str, Any]]
+    records: list[Record]
     fitted: int
     missing: int
+    damaged: list[str]
 
 
 def run_batch(
@@ -84,17 +88,33 @@ def run_batch(
         progress: A function that is called at the beginning and after each target.
 
     Raises:
-        TargetError: The output cannot be written, its disk is full, or the scheduler does not answer.
+        TargetError: The output cannot be written, its disk is full, another process fits the same targets
+            into it, or the scheduler does not answer.
     """
     check_pyarrow()
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        held = locked(out, shard)
+    except OSError as error:
+        raise TargetError(f"{out} cannot be made: {error.strerror or error}.") from None
+    with held:
+        return _run(items, out, workers, scheduler, shard, progress)
+
+
+def _run(
+    items: Sequence[Item],
+    out: Path,
+    workers: int | None,
+    scheduler: str | None,
+    shard: Shard,
+    progress: Callable[[Progress], None],
+) -> Outcome:
+    """See `run_batch`."""
     programs = folder_in_common()
     tasks = [Task(item, out / FITS / item.id, programs) for item in items]
     mine = tasks[shard.number - 1 :: shard.of]
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise TargetError(f"{out} cannot be made: {error.strerror or error}.") from None
-    known = {task.item.id: record for task in mine if (record := finished(task))}
+    known, damaged = _sound(mine, finished)
+    damaged = [f"{what}; its target is fitted again" for what in damaged]
     todo = [task for task in mine if task.item.id not in known]
     failed = sum(not record["converged"] for record in known.values())
     done = len(known)
@@ -114,14 +134,31 @@ def run_batch(
         with undisturbed():
             # The processes end first, so that the table contains everything they have finished.
             performed.close()
-            missing = _write_whole(tasks, out)
+            missing, left_out = _write_whole(tasks, out)
     records = [known[task.item.id] for task in mine]
-    return Outcome(records, len(todo), missing)
+    damaged += [f"{what}; it is not in the table" for what in left_out]
+    return Outcome(records, len(todo), missing, damaged)
+
+
+def _sound(
+    tasks: Sequence[Task], read: Callable[[Task], Record | None]
+) -> tuple[dict[str, Record], list[str]]:
+    """The records that a function finds, by id, and what is wrong with the damaged ones."""
+    known, damaged = {}, []
+    for task in tasks:
+        try:
+            record = read(task)
+        except SchemaError as error:
+            damaged.append(str(error))
+        else:
+            if record is not None:
+                known[task.item.id] = record
+    return known, damaged
 
 
 def _performed(
     todo: Sequence[Task], workers: int | None, scheduler: str | None
-) -> Generator[tuple[Task, dict[str, Any] | Crash]]:
+) -> Generator[tuple[Task, Record | Crash]]:
     """Yields every task with its record, in the order in which they finish."""
     if not todo:
         return
@@ -133,24 +170,24 @@ def _performed(
         yield from as_finished(client, perform, todo)
 
 
-def _crashed(task: Task) -> dict[str, Any]:
+def _crashed(task: Task) -> Record:
     return keep(task, FitFailure(Status.CRASHED, CRASHED), "", math.nan)
 
 
-def _write_whole(tasks: Sequence[Task], out: Path) -> int:
-    """Writes the table of all existing records, and returns how many are missing.
+def _write_whole(tasks: Sequence[Task], out: Path) -> tuple[int, list[str]]:
+    """Writes the table of all sound records; returns how many are missing, and what is wrong with others.
 
     Other shards may do the same at the same time; the last one to finish sees all records.
     """
     written = -1
     while True:
-        records = [record for task in tasks if (record := read_record(task.folder)) is not None]
-        if len(records) == written:
-            return len(tasks) - written
+        known, damaged = _sound(tasks, read_record)
+        if len(known) == written:
+            return len(tasks) - written, damaged
         try:
-            write_table(records, out / TABLE)
+            write_table([*known.values()], out / TABLE)
         except OSError as error:
             raise TargetError(
                 f"{out / TABLE} cannot be written: {error.strerror or error}."
             ) from None
-        written = len(records)
+        written = len(known)

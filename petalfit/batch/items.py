@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
@@ -140,26 +141,43 @@ def _items_of_manifest(manifest: Path, options: Mapping[str, Any]) -> list[Item]
 
 def _item(cells: Mapping[str, str], folder: Path, options: Mapping[str, Any]) -> Item:
     """The item of a row of a manifest, from its cells that are not empty."""
+    for column, text in cells.items():
+        if not text.isprintable():
+            raise TargetError(f"the column {column!r} has characters that cannot be printed.")
     if "target" not in cells:
         raise TargetError("there is no target in this row.")
     targets = _paths(cells["target"], folder)
     name = cells.get("id", cells["target"]).replace("\\", "/").replace(BETWEEN, "+")
-    parts = PurePosixPath(name).parts
-    if name.startswith("/") or ".." in parts or not parts:
-        name = PurePosixPath(*(part for part in parts if part not in ("/", ".."))).as_posix()
+    # Two spellings of one folder are one id, and none leaves the output.
+    parts = [part for part in PurePosixPath(name).parts if part not in ("/", "//", "..")]
+    name = PurePosixPath(*parts).as_posix()
     if name in ("", "."):
         raise TargetError(f"the id {cells.get('id', '')!r} names no folder; give another one.")
     own: dict[str, Any] = {n: cells[n] for n in ("model", "pose", "loss") if n in cells}
     if "noise" in cells:
-        own["noise"] = float(cells["noise"])
+        own["noise"] = _noise(cells["noise"])
     if "seed" in cells:
-        own["seed"] = int(cells["seed"])
+        own["seed"] = _seed(cells["seed"])
     if "free" in cells:
         own["free"] = cells["free"].replace(",", " ").replace(BETWEEN, " ").split()
     merged = {**options, **own}
     if merged["model"] != "auto":
         model_named(merged["model"])
     return Item(name, targets, _paths(cells.get("camera", ""), folder), merged)
+
+
+def _noise(text: str) -> float:
+    noise = float(text)
+    if not 0 < noise < math.inf:
+        raise TargetError(f"the noise {text} is no standard deviation; give a positive number.")
+    return noise
+
+
+def _seed(text: str) -> int:
+    seed = int(text)
+    if not 0 <= seed < 2**63:
+        raise TargetError(f"the seed {text[:20]} is out of range; give 0 or more, below 2^63.")
+    return seed
 
 
 def _paths(text: str, folder: Path) -> tuple[Path, ...]:

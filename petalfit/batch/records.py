@@ -9,10 +9,12 @@ import os
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, NamedTuple, Required, TypedDict
 
+import msgspec
 import numpy as np
 
+from petalfit import schema
 from petalfit.batch.failure import FitFailure
 from petalfit.batch.items import BETWEEN, Item
 from petalfit.compilation import use_folder
@@ -20,6 +22,7 @@ from petalfit.fitting import FitResult, fit
 from petalfit.observations import TargetError
 from petalfit.observations.atomic import atomic_path
 from petalfit.results import Status
+from petalfit.schema import Count, NotNegative, SchemaError, encode
 from petalfit.version import VERSION
 
 FIT = "fit.json"
@@ -27,6 +30,50 @@ RECORD = "record.json"
 # Statuses that are not the target's fault and may change, so that the target is tried again.
 PASSING = (Status.ERROR, Status.CRASHED, Status.NOT_WRITTEN)
 _FULL = (errno.ENOSPC, errno.EDQUOT)
+_LARGEST = 10_000_000  # bytes
+
+
+class WarningOfRecord(TypedDict):
+    """A warning of a fit."""
+
+    kind: str
+    parameters: list[str]
+    text: str
+
+
+class Record(TypedDict, total=False):
+    """A row of the table; see `petalfit.batch.table.write_table`. Failures have the required members."""
+
+    id: Required[str]
+    target: Required[str]
+    status: Required[Status]
+    converged: Required[bool]
+    message: Required[str]
+    model: Required[str]
+    pose: Required[str]
+    loss: Required[str]
+    seconds: Required[float]
+    version: Required[str]
+    input_hash: Required[str]
+    finished: Required[str]
+    disk_full: bool
+    warnings: list[WarningOfRecord]
+    timings: dict[str, NotNegative]
+    data: Count
+    outliers: Count
+    rms: float
+    noise: float
+    values: dict[str, float]
+    stderr: dict[str, float | None]
+    stderr_noise: dict[str, float | None]
+    discrepancy: float | None
+    discrepancy_length: float | None
+    identifiable: dict[str, bool | None]
+    traits: dict[str, float]
+    trait_stderr: dict[str, float | None]
+    scale: float
+    rotation: Annotated[list[float], msgspec.Meta(min_length=9, max_length=9)]
+    translation: Annotated[list[float], msgspec.Meta(min_length=3, max_length=3)]
 
 
 class Task(NamedTuple):
@@ -43,10 +90,16 @@ class Task(NamedTuple):
     programs: Path | None
 
 
-def finished(task: Task) -> dict[str, Any] | None:
-    """The record of an item if it is still valid: same files and options, and no `PASSING` status."""
-    record = read_record(task.folder)
+def finished(task: Task) -> Record | None:
+    """The record of an item if it is still valid: same files and options, and no `PASSING` status.
+
+    Raises:
+        SchemaError: The record is damaged.
+    """
+    record = read_record(task)
     if record is None or record["status"] in PASSING:
+        return None
+    if "values" in record and not (task.folder / FIT).is_file():
         return None
     try:
         digest = task.item.digest()
@@ -55,16 +108,25 @@ def finished(task: Task) -> dict[str, Any] | None:
     return record if record["input_hash"] == digest else None
 
 
-def read_record(folder: Path) -> dict[str, Any] | None:
-    """The record in a folder, or None."""
+def read_record(task: Task) -> Record | None:
+    """The record in the folder of an item, or None if there is none.
+
+    Raises:
+        SchemaError: It is damaged, or that of another item.
+    """
+    path = task.folder / RECORD
     try:
-        record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        record = schema.read(path, Record, _LARGEST)
+    except FileNotFoundError:
         return None
-    return record if isinstance(record, dict) and {"status", "input_hash"} <= {*record} else None
+    except (OSError, SchemaError) as error:
+        raise SchemaError(f"{path} is damaged ({error})") from None
+    if record["id"] != as_text(task.item.id):
+        raise SchemaError(f"{path} is damaged (it is the record of {record['id']!r})")
+    return record
 
 
-def perform(task: Task) -> dict[str, Any]:
+def perform(task: Task) -> Record:
     """Fit a target, and write `fit.json` and its record; raises no exceptions.
 
     Returns:
@@ -73,16 +135,24 @@ def perform(task: Task) -> dict[str, Any]:
     began, digest, result = time.perf_counter(), "", None
     try:
         digest = task.item.digest()
+        targets = task.item.read()
+        if task.item.digest() != digest:
+            digest = ""
+            raise TargetError("its file changed while it was read; run the batch again.")
         with use_folder(task.programs):
-            found = fit(target=task.item.read(), throw=False, **task.item.arguments())
+            found = fit(target=targets, throw=False, **task.item.arguments())
         assert isinstance(found, FitResult), "patterns are not among the models"
         result = found
     except Exception as error:
         result = FitFailure.of(error)
-    return keep(task, result, digest, time.perf_counter() - began)
+    seconds = time.perf_counter() - began
+    try:
+        return keep(task, result, digest, seconds)
+    except Exception as error:
+        return keep(task, FitFailure.of(error), digest, seconds)
 
 
-def keep(task: Task, result: FitResult | FitFailure, digest: str, seconds: float) -> dict[str, Any]:
+def keep(task: Task, result: FitResult | FitFailure, digest: str, seconds: float) -> Record:
     """Write the outcome of a target, the fit first: a record implies that all files are complete."""
     with use_folder(task.programs):  # traits are measured with compiled programs
         record = _record(task.item, result, digest, seconds)
@@ -93,24 +163,29 @@ def keep(task: Task, result: FitResult | FitFailure, digest: str, seconds: float
         else:
             (task.folder / FIT).unlink(missing_ok=True)
         with atomic_path(task.folder / RECORD) as path:
-            path.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+            path.write_text(json.dumps(encode(record), indent=1) + "\n", encoding="utf-8")
     except OSError as error:
+        reason = f"{as_text(task.folder)} cannot be written: {error.strerror or error}"
         full = error.errno in _FULL
-        reason = f"{task.folder} cannot be written: {error.strerror or error}"
-        return record | {"status": str(Status.NOT_WRITTEN), "message": reason, "disk_full": full}
+        return {**record, "status": Status.NOT_WRITTEN, "message": reason, "disk_full": full}
     return record
 
 
-def _record(
-    item: Item, result: FitResult | FitFailure, digest: str, seconds: float
-) -> dict[str, Any]:
-    record: dict[str, Any] = {
-        "id": item.id,
-        "target": BETWEEN.join(map(os.fspath, item.targets)),
-        "status": str(result.status),
+def as_text(name: str | Path) -> str:
+    """A name of a file as text that can be written: bytes that are not UTF-8 become escapes."""
+    return os.fspath(name).encode("utf-8", "backslashreplace").decode()
+
+
+def _record(item: Item, result: FitResult | FitFailure, digest: str, seconds: float) -> Record:
+    record: Record = {
+        "id": as_text(item.id),
+        "target": as_text(BETWEEN.join(map(os.fspath, item.targets))),
+        "status": result.status,
         "converged": result.converged,
-        "message": result.message,
-        **{name: item.options[name] for name in ("model", "pose", "loss")},
+        "message": as_text(result.message),
+        "model": item.options["model"],
+        "pose": item.options["pose"],
+        "loss": item.options["loss"],
         "seconds": seconds,
         "version": VERSION,
         "input_hash": digest,
@@ -121,9 +196,10 @@ def _record(
     first = result.agreements[0]
     identifiable = {name: result.identifiable.get(name) for name in result.values}
     misfit = result.discrepancy
-    return record | {
+    return {
+        **record,
         "model": type(result.model).__name__,
-        "warnings": [warning.to_json() for warning in result.warnings],
+        "warnings": [WarningOfRecord(**warning.to_json()) for warning in result.warnings],
         "timings": result.timings,
         "data": int(first.distances.size),
         "outliers": first.outliers,

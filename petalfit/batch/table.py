@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from petalfit.batch.records import Record, WarningOfRecord
 from petalfit.components import models, parameters
 from petalfit.observations import TargetError
 from petalfit.observations.atomic import atomic_path
@@ -30,7 +31,7 @@ def check_pyarrow() -> None:
         ) from None
 
 
-def write_table(records: Sequence[dict[str, Any]], path: Path) -> None:
+def write_table(records: Sequence[Record], path: Path) -> None:
     """Write a table with one row per record, completely or not at all.
 
     Columns of every target are id, target, status, converged, message, model, pose, loss, seconds,
@@ -50,7 +51,7 @@ def write_table(records: Sequence[dict[str, Any]], path: Path) -> None:
         pyarrow.parquet.write_table(table, temporary)
 
 
-def as_table(records: Sequence[dict[str, Any]]) -> pyarrow.Table:
+def as_table(records: Sequence[Record]) -> pyarrow.Table:
     """The records as a table; see `write_table` for its columns."""
     import pyarrow as pa
 
@@ -69,7 +70,7 @@ def as_table(records: Sequence[dict[str, Any]]) -> pyarrow.Table:
         texts = [_each(record.get("warnings"), part) for record in records]
         columns[name] = pa.array(texts, pa.list_(pa.string()))
     columns |= {name: column(name, numbers) for name in ("rotation", "translation")}
-    for name in _parameter_names(records):
+    for name in _parameter_names(records, columns):
         columns[name] = of_parameter("values", name, pa.float64())
         columns[f"{name}_stderr"] = of_parameter("stderr", name, pa.float64())
         columns[f"{name}_stderr_noise"] = of_parameter("stderr_noise", name, pa.float64())
@@ -80,15 +81,16 @@ def as_table(records: Sequence[dict[str, Any]]) -> pyarrow.Table:
     return pa.table(columns)
 
 
-def _each(warnings: Sequence[dict[str, Any]] | None, part: str) -> list[str] | None:
+def _each(warnings: Sequence[WarningOfRecord] | None, part: str) -> list[str] | None:
     """One part of every warning of a record; None for a record without a list of warnings."""
     return None if warnings is None else [warning[part] for warning in warnings]
 
 
-def _parameter_names(records: Sequence[dict[str, Any]]) -> list[str]:
+def _parameter_names(records: Sequence[Record], taken: Container[str]) -> list[str]:
     """The parameters' names in the order of declaration; those that only images have come last."""
     used = dict.fromkeys(record["model"] for record in records if "values" in record)
-    declared = [name for model in used for name in parameters(models()[model])]
+    known = models()
+    declared = [name for model in used if model in known for name in parameters(known[model])]
     found = [name for record in records for name in record.get("values", ())]
-    # The pose's scale has a column already, which a parameter of that name must not replace.
-    return [*dict.fromkeys(name for name in (*declared, *found) if name not in _NUMBERS)]
+    # A column of every target, such as the pose's scale, is not replaced by a parameter of its name.
+    return [name for name in dict.fromkeys([*declared, *found]) if name not in taken]

@@ -122,6 +122,8 @@ def batch(
             done = f"{latest[0].done} of {latest[0].total}" if latest else "none"
             _say(f"interrupted: {done} are finished and kept; the same command goes on.")
             return INTERRUPTED
+    for sentence in outcome.damaged:
+        _say(f"warning: {sentence}.")
     if not quiet:
         _summarise(outcome, out, time.monotonic() - began)
         if profile:
@@ -139,7 +141,7 @@ def _shard(text: str) -> tuple[int, int]:
 def _say(sentence: str) -> None:
     from petalfit.cli.console import errors
 
-    errors().print(f"petalfit: {sentence}", soft_wrap=True, markup=False)
+    errors().print(f"petalfit: {sentence}", soft_wrap=True)
 
 
 @contextmanager
@@ -211,9 +213,9 @@ def _summarise(outcome: "Outcome", out: Path, seconds: float) -> None:
     for status, count in statuses.most_common():
         example = next(record for record in outcome.records if record["status"] == status)
         of = "" if example["converged"] else f"  {example['id']}: {example['message']}"
-        console.print(f"{count:>7} {status}{of}", soft_wrap=True, markup=False)
+        console.print(f"{count:>7} {status}{of}", soft_wrap=True)
     rest = f"; {outcome.missing} targets of other shards are missing" if outcome.missing else ""
-    console.print(f"{out / TABLE!s}  a row for each target{rest}", soft_wrap=True, markup=False)
+    console.print(f"{out / TABLE!s}  a row for each target{rest}", soft_wrap=True)
 
 
 def _profile(outcome: "Outcome") -> None:
@@ -241,7 +243,7 @@ def _profile(outcome: "Outcome") -> None:
     output().print(table)
     for record in sorted(outcome.records, key=lambda record: -record["seconds"])[:_SLOWEST]:
         line = f"{record['seconds']:.3g} s  {record['id']}"
-        output().print(line, soft_wrap=True, markup=False)
+        output().print(line, soft_wrap=True)
 
 
 _EVERY = 30.0  # seconds

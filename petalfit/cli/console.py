@@ -32,7 +32,8 @@ def _console(*, stderr: bool) -> Console:
     # Few of the encodings that Windows gives to a pipe contain σ and ±.
     if hasattr(stream, "reconfigure"):
         stream.reconfigure(errors="replace")  # pyright: ignore[reportAttributeAccessIssue]
-    return Console(stderr=stderr, highlight=False)
+    # Names and messages may come from files, so brackets in them are text and no markup.
+    return Console(stderr=stderr, highlight=False, markup=False)
 
 
 @contextmanager
@@ -161,7 +162,7 @@ def list_files(folder: Path, contents: dict[str, str]) -> None:
     width = max(len(str(folder / name)) for name in contents)
     for name, what in contents.items():
         line = f"{folder / name!s:<{width}}  {what}"
-        output().print(line, soft_wrap=True, markup=False)
+        output().print(line, soft_wrap=True)
 
 
 def warn(result: "FitResult") -> None:

@@ -88,9 +88,7 @@ def grow(
             f"{len(series)} {series.name}{'s' * (len(series) > 1)}" for series in grown.series
         ]
         written = " and ".join(str(path) for path in (out, png) if path is not None)
-        output().print(
-            f"{written}: {grown.name}, {', '.join(organs)}", soft_wrap=True, markup=False
-        )
+        output().print(f"{written}: {grown.name}, {', '.join(organs)}", soft_wrap=True)
     return SUCCESS
 
 

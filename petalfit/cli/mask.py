@@ -66,8 +66,8 @@ def mask(photo: Photo, out: File, points: Points = (), quiet: Quiet = False) -> 
         rows, columns = found.shape
         share = 100 * float(np.mean(found))
         line = f"{out}: {columns} × {rows} pixels, {share:.1f} % of them the petal's"
-        output().print(line, soft_wrap=True, markup=False)
-        output().print(f"{preview}: for the eye", soft_wrap=True, markup=False)
+        output().print(line, soft_wrap=True)
+        output().print(f"{preview}: for the eye", soft_wrap=True)
     return SUCCESS
 
 

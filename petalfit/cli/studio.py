@@ -32,7 +32,7 @@ def studio(port: Port = 8090, no_browser: NoBrowser = False, quiet: Quiet = Fals
 
     running = Studio(port)
     if not quiet:
-        output().print(f"{running.url}  (Ctrl-C ends it)", soft_wrap=True, markup=False)
+        output().print(f"{running.url}  (Ctrl-C ends it)", soft_wrap=True)
     if not no_browser:
         webbrowser.open(running.url)
     try:

@@ -75,7 +75,7 @@ def synth(
             raise CommandError(f"{out} cannot be written ({reason}); nothing was.") from error
     what = "mesh" if is_mesh else f"{count} points"
     values = ", ".join(f"{name} {float(value):g}" for name, value in vars(petal).items())
-    output().print(f"{out}: {what} of a peony petal, {values}", soft_wrap=True, markup=False)
+    output().print(f"{out}: {what} of a peony petal, {values}", soft_wrap=True)
     return SUCCESS
 
 

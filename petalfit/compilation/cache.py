@@ -2,13 +2,16 @@
 
 The programs lie in a folder of the user's cache, with one subfolder for each kind of processor. When all
 of them together exceed `LIMIT`, the oldest are removed. The environment variable PETALFIT_CACHE names
-another folder; if it is empty, the cache is off. A folder that cannot be used only costs time.
+another folder; if it is empty, the cache is off. A folder that cannot be used only costs time, and one
+that others may write to is not used, because loading a program can run any code.
 """
 
+import functools
 import hashlib
 import os
 import platform
 import re
+import stat
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -53,11 +56,50 @@ def _usable_folder() -> Path | None:
         root = user_cache() if root is None else Path(root).absolute()
         folder = root / f"programs-{_processor()}"
         # Only the user may write there, because loading a program can run any code.
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        _make_private(folder)
         _prune(root)
     except (OSError, RuntimeError):  # RuntimeError: the user has no home
         return None
+    reason = open_to_others(folder)
+    if reason:
+        _say_once(
+            f"{reason}, so compiled programs are neither read nor kept, which costs time; let nobody "
+            f"else write there, or set {VARIABLE} to another folder."
+        )
+        return None
     return folder if os.access(folder, os.R_OK | os.W_OK | os.X_OK) else None
+
+
+def _make_private(folder: Path) -> None:
+    """Makes a folder, and those above it that are missing, for the user alone."""
+    for place in (*reversed(folder.parents), folder):
+        # Only this sets the mode of every folder: with `parents`, mkdir gives those above the usual one.
+        if not place.is_dir():
+            place.mkdir(mode=0o700, exist_ok=True)
+
+
+def open_to_others(folder: Path) -> str:
+    """Why somebody else could put programs into a folder, as a part of a sentence; "" if nobody can.
+
+    Nobody but the user and the administrator may own it or a folder above it, or write there; a folder
+    such as /tmp, in which all may make files but only move their own, is no danger to those in it.
+    """
+    if not hasattr(os, "geteuid"):  # Windows, where a user's folders are the user's own
+        return ""
+    real = Path(os.path.realpath(folder))
+    for place in (real, *real.parents):
+        status = place.stat()
+        if status.st_uid not in (os.geteuid(), 0):
+            return f"{place} belongs to somebody else"
+        shared = status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+        if shared and (place == real or not status.st_mode & stat.S_ISVTX):
+            return f"others may write to {place}"
+    return ""
+
+
+@functools.cache
+def _say_once(sentence: str) -> None:
+    print(f"petalfit: {sentence}", file=sys.stderr)
 
 
 def user_cache() -> Path:

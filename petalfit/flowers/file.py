@@ -6,14 +6,13 @@ import dataclasses
 import json
 import os
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import equinox as eqx
 import jax
 import numpy as np
 
-from petalfit import colours, components
+from petalfit import colours, components, schema
 from petalfit.colours import AbstractPattern, Colour, from_hex, to_hex
 from petalfit.components import AbstractAssembly, Pedicel, models, parameters
 from petalfit.flowers import phyllotaxis
@@ -25,9 +24,11 @@ from petalfit.flowers.gynoecium import pistils
 from petalfit.flowers.phyllotaxis import Arrangement
 from petalfit.flowers.settings import FlowerError, checked, declared
 from petalfit.observations.atomic import atomic_path
+from petalfit.schema import SchemaError
 from petalfit.surfaces import AbstractSurface, value_at, with_value
 
 FORMAT, VERSION = "petalfit.Flower", 1
+_LARGEST = 100_000_000  # bytes
 _ARRANGEMENTS = ("whorls", "recursion", "scattered", "l_system", "azimuth")
 
 
@@ -56,14 +57,16 @@ def load_flower(path: str | os.PathLike[str], seed: int = 0) -> Flower:
         FlowerError: The file cannot be read, or does not describe a flower that can be grown.
     """
     try:
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        content = schema.read(path, dict, _LARGEST)
+    except (OSError, SchemaError) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else error
         raise FlowerError(f"{os.fspath(path)} cannot be read as a flower: {reason}.") from None
     try:
         return flower_from_json(content, seed)
     except FlowerError as error:
         raise FlowerError(f"{os.fspath(path)}: {error}") from None
+    except OverflowError:
+        raise FlowerError(f"{os.fspath(path)}: a number in it is too large.") from None
 
 
 def flower_from_json(content: Any, seed: int = 0) -> Flower:
@@ -141,7 +144,7 @@ def _mapping(content: Any, where: str) -> Mapping[str, Any]:
 def _organ(entry: _Entry) -> AbstractSurface:
     """A component with default parameters and the options that the file gives it."""
     kinds, name = models(), entry.take("component")
-    if name not in kinds:
+    if not isinstance(name, str) or name not in kinds:
         raise FlowerError(
             f"{entry.where}: there is no component {name!r}; there are {', '.join(kinds)}."
         )
@@ -329,7 +332,7 @@ def _pattern(content: Any, where: str) -> AbstractPattern:
     members = dict(_mapping(content, where))
     name = members.pop("pattern", None)
     kinds = {kind.__name__: kind for kind in (colours.RadialPattern, colours.RibPattern)}
-    if name not in kinds:
+    if not isinstance(name, str) or name not in kinds:
         raise FlowerError(f"there is no pattern {name!r}; there are {', '.join(kinds)}.")
     known = parameters(kinds[name])
     values = {

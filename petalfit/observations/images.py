@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import struct
 import threading
 import warnings
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,6 +24,9 @@ IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".gif", ".webp", ".jpg", ".jp
 # Memory that reading and checking a mask or a photo takes, in bytes a pixel.
 _BYTES_PER_PIXEL = 32
 _LOCK = threading.Lock()
+# What Pillow raises for damaged files, besides its own errors.
+_DAMAGED = (OSError, ValueError, SyntaxError, EOFError, IndexError, KeyError, OverflowError, TypeError,
+            AttributeError, AssertionError, ZeroDivisionError, struct.error, zlib.error)  # fmt: skip
 
 
 @contextmanager
@@ -44,7 +49,7 @@ def opened_image(path: str | os.PathLike[str]) -> Iterator[Image]:
         raise TargetError(f"{os.fspath(path)} does not exist; check the path.") from None
     except TargetError:
         raise
-    except Exception as error:  # Pillow raises errors of any kind for damaged files
+    except _DAMAGED as error:
         reason = str(error) or type(error).__name__
         raise TargetError(f"{os.fspath(path)} cannot be read as an image: {reason}") from None
 

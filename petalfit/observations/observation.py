@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import abc
 import json
+import zlib
 from collections.abc import Iterator
 from typing import Any, ClassVar
 
@@ -99,12 +100,17 @@ def observation_from_json(content: dict[str, Any]) -> AbstractObservation:
     """The observation, of any kind, that a file describes.
 
     Raises:
-        TargetError: The kind is unknown.
+        TargetError: The kind is unknown, or the description is damaged.
     """
-    kind = AbstractObservation.kinds.get(content["kind"])
+    kind = AbstractObservation.kinds.get(str(content.get("kind")))
     if kind is None:
         raise TargetError(
-            f"there is no kind of observation {content['kind']!r}; the kinds are "
+            f"there is no kind of observation {content.get('kind')!r}; the kinds are "
             f"{', '.join(AbstractObservation.kinds)}."
         )
-    return kind.from_json(content)
+    try:
+        return kind.from_json(content)
+    except TargetError:
+        raise
+    except (KeyError, TypeError, ValueError, OverflowError, zlib.error) as error:
+        raise TargetError(f"the {kind.kind} is damaged ({error!r}).") from error

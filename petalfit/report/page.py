@@ -115,7 +115,7 @@ def _head(result: FitRecord) -> str:
         facts["determined parameters"] = f"{known} <small>of {len(result.names)} free</small>"
     else:
         facts["effective parameters"] = f"{plain(result.freedom)} <small>none has a name</small>"
-    what = listed([shown(part).named(part) for part in parts])
+    what = html.escape(listed([shown(part).named(part) for part in parts]))
     lead = " ".join(shown(part).sentence(part) for part in parts)
     return (
         f'<p class="eyebrow">petalfit · fit report</p>\n<h1>{kind} fitted to '

@@ -11,34 +11,41 @@ import numpy as np
 from petalfit.report.rounding import listed
 from petalfit.report.shown import shown
 from petalfit.results import Agreement, FitRecord
-from petalfit.results.record import FORMAT, VERSION
+from petalfit.results.file import FORMAT, VERSION
+
+_AS_CODE = ("command", "its SHA-256", "rotation")
 
 
 def provenance(result: FitRecord) -> str:
     """The section of the page on provenance, as HTML."""
-    rows = {"made by": html.escape(result.made_by)}
-    if result.command:
-        rows["command"] = f"<code>{html.escape(result.command)}</code>"
+    rows = {"made by": result.made_by, "command": result.command}
     rows |= {
         "input": listed([shown(part).whole(part) for part in result.agreements]),
-        "its SHA-256": f"<code>{result.input_hash}</code>",
-        "model": html.escape(type(result.model).__name__),
-        "status": html.escape(f"{result.status}: {result.status.meaning}"),
-        "message": html.escape(result.message),
+        "its SHA-256": result.input_hash,
+        "model": type(result.model).__name__,
+        "status": f"{result.status}: {result.status.meaning}",
+        "message": result.message,
         "rms distance": ", ".join(f"{part.rms!r}{_unit(part)}" for part in result.agreements),
         "noise σ": ", ".join(f"{part.noise!r}{_unit(part)}" for part in result.agreements),
         **_pose(result),
+        "seconds": ", ".join(f"{name} {x:.2g}" for name, x in result.timings.items()),
+        "file format": f"{FORMAT}, version {VERSION}",
     }
-    if result.timings:
-        rows["seconds"] = ", ".join(f"{name} {x:.2g}" for name, x in result.timings.items())
-    rows["file format"] = f"{FORMAT}, version {VERSION}"
     terms = "\n".join(
-        f"<div><dt>{html.escape(key)}</dt><dd>{value}</dd></div>" for key, value in rows.items()
+        f"<div><dt>{html.escape(key)}</dt><dd>{_as_html(key, value)}</dd></div>"
+        for key, value in rows.items()
+        if value
     )
     return (
         f'<section class="provenance"><h2>Provenance</h2><dl>{terms}</dl>'
         f"{_details(result.model)}</section>"
     )
+
+
+def _as_html(key: str, value: str) -> str:
+    """A value, which is plain text wherever it comes from, as HTML."""
+    text = html.escape(value).replace("\n", "<br>")
+    return f"<code>{text}</code>" if key in _AS_CODE else text
 
 
 def _unit(part: Agreement) -> str:
@@ -49,12 +56,12 @@ def _pose(result: FitRecord) -> dict[str, str]:
     pose = result.pose
     if pose.scale == 1.0 and not pose.translation.any() and (pose.rotation == np.eye(3)).all():
         return {"pose": "the target is in the model's frame"}
-    rotation = "<br>".join(
+    rotation = "\n".join(
         " ".join(f"{number:+.6f}" for number in row) for row in pose.rotation.tolist()
     )
     return {
         "scale": f"{float(pose.scale)!r}",
-        "rotation": f"<code>{rotation}</code>",
+        "rotation": rotation,
         "translation": ", ".join(map(repr, pose.translation.tolist())),
     }
 

@@ -98,7 +98,7 @@ def pose_table(result: FitRecord, level: float = 0.95) -> str | None:
         if name in values:
             shown, reach = _with_error(values[name], error, level)
         rows.append(
-            f'<tr class="known"><th scope="row"><code>{name}</code><span class="meaning">'
+            f'<tr class="known"><th scope="row"><code>{html.escape(name)}</code><span class="meaning">'
             f"{meaning.format(axis=axis)}"
             f'</span></th><td class="value">{shown}</td><td class="reach">{reach}</td>'
             f'{_unit(unit)}<td class="strip"></td></tr>'
@@ -120,7 +120,7 @@ def traits_table(result: FitRecord, level: float = 0.95) -> str | None:
         unit = _UNITS.get(trait.unit, trait.unit)
         term = f' <span class="meaning">{trait.term}</span>' if trait.term else ""
         rows.append(
-            f'<tr class="{kind}"><th scope="row"><code>{name}</code>'
+            f'<tr class="{kind}"><th scope="row"><code>{html.escape(name)}</code>'
             f'<span class="meaning">{html.escape(trait.meaning)}</span>{term}</th>'
             f'<td class="value">{shown}</td><td class="reach">{reach}</td>{_unit(unit)}'
             '<td class="strip"></td></tr>'

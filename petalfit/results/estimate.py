@@ -61,7 +61,7 @@ def rivals(
         start
         for start in starts[1:]
         if start.delta_chi2 < CLEAR_LEAD * inflation
-        and max(apart(start, name) for name in stderr) > APART
+        and max((apart(start, name) for name in stderr), default=0.0) > APART
     )
 
 

@@ -12,45 +12,37 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 import numpy as np
 from jaxtyping import Float64
 
+from petalfit import schema
 from petalfit.components import Parameter, Posed, models, parameters
-from petalfit.observations import TargetError, observation_from_json
+from petalfit.observations import TargetError
 from petalfit.observations.atomic import atomic_path
 from petalfit.results.agreement import Agreement
-from petalfit.results.codec import decode, encode
 from petalfit.results.discrepancy import Discrepancy
 from petalfit.results.estimate import Estimate, Start, rivals
+from petalfit.results.file import (
+    FORMAT,
+    LARGEST,
+    VERSION,
+    FitFile,
+    Head,
+    Rank,
+    agreement_of,
+    check,
+    matrix,
+    model_of,
+)
 from petalfit.results.misfit import MisfitMap
 from petalfit.results.profile import Profile
-from petalfit.results.status import Status
 from petalfit.results.trait import Posterior, Trait, traits_of
 from petalfit.results.warning import FitWarning
-from petalfit.surfaces import AbstractSurface, Pose, moved, with_value
+from petalfit.schema import SchemaError, encode
+from petalfit.surfaces import AbstractSurface, Pose, moved
 from petalfit.version import VERSION as PETALFIT
 
 if TYPE_CHECKING:
     import trimesh
 
 Record = TypeVar("Record", bound="FitRecord")
-FORMAT = "petalfit.FitResult"
-VERSION = 5
-
-
-@dataclasses.dataclass(frozen=True)
-class Rank:
-    """The rank of one family of petals among those that were fitted to the same cloud.
-
-    Attributes:
-        model: Name of the family's class of models.
-        delta_bic: Difference of its information criterion (BIC) from the least one; 0 for the best. Ten
-            is a strong preference.
-        rms: Root mean square distance that it reached, in the target's unit.
-        freedom: Effective number of parameters.
-    """
-
-    model: str
-    delta_bic: float
-    rms: float
-    freedom: float
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -192,34 +184,29 @@ class FitRecord(Estimate):
             TargetError: The file cannot be read, is damaged, or holds no fit result of a known version
                 and a known component.
         """
+        name = os.fspath(path)
         try:
-            with open(path, encoding="utf-8") as file:
-                content = json.load(file)
+            head = schema.read(path, Head, LARGEST)
+        except (OSError, SchemaError) as error:
+            raise TargetError(f"{name} cannot be read as a fit result: {error}.") from None
+        if head.format != FORMAT:
+            raise TargetError(f"{name} is not a fit result; `petalfit fit` writes them.")
+        if head.version != VERSION:
+            raise TargetError(
+                f"{name} has version {head.version} of the format, and this petalfit reads version "
+                f"{VERSION}. Fit the target again: {head.command or 'petalfit fit TARGET --out DIR'}"
+            )
+        kind = model or models().get(head.model)
+        if kind is None or kind.__name__ != head.model:
+            raise TargetError(
+                f"{name} is a fit of a {head.model}, which petalfit does not know: give its class as "
+                "model."
+            )
+        try:
+            return cls._of(schema.read(path, FitFile, LARGEST), kind)
         except (OSError, ValueError) as error:
-            raise TargetError(
-                f"{os.fspath(path)} cannot be read as a fit result: {error}"
-            ) from None
-        if not isinstance(content, dict) or content.get("format") != FORMAT:
-            raise TargetError(f"{os.fspath(path)} is not a fit result; `petalfit fit` writes them.")
-        if content.get("version") != VERSION:
-            again = content.get("command") or "petalfit fit TARGET --out DIR"
-            raise TargetError(
-                f"{os.fspath(path)} has version {content.get('version')} of the format, and this "
-                f"petalfit reads version {VERSION}. Fit the target again: {again}"
-            )
-        name = content.get("model")
-        kind = model or models().get(str(name))
-        if kind is None or kind.__name__ != name:
-            raise TargetError(
-                f"{os.fspath(path)} is a fit of a {name}, which petalfit does not know: give its class "
-                "as model."
-            )
-        try:
-            return cls._from_json(content, kind)
-        except (AttributeError, KeyError, TypeError, ValueError) as error:
-            raise TargetError(
-                f"{os.fspath(path)} is a damaged fit result ({error!r}); fit again."
-            ) from error
+            reason = str(error).removesuffix(".")
+            raise TargetError(f"{name} is a damaged fit result: {reason}; fit again.") from error
 
     _apart: ClassVar[tuple[str, ...]] = ("model", "agreements", "warnings")
 
@@ -229,24 +216,9 @@ class FitRecord(Estimate):
             for field in dataclasses.fields(self)
             if field.name not in self._apart
         }
-        fields["status"] = str(self.status)
-        if self.discrepancy is not None:
-            fields["discrepancy"] = dataclasses.asdict(self.discrepancy)
-        fields["posterior"] = None if self.posterior is None else vars(self.posterior)
-        fields["pose"] = dataclasses.asdict(self.pose)
         fields["warnings"] = [warning.to_json() for warning in self.warnings]
-        fields["starts"] = [dataclasses.asdict(start) for start in self.starts]
-        fields["ranking"] = [dataclasses.asdict(rank) for rank in self.ranking]
-        fields["profiles"] = {name: dataclasses.asdict(p) for name, p in self.profiles.items()}
         fields["agreements"] = [
-            {
-                "target": part.target.to_json(),
-                "distances": part.distances,
-                "weights": part.weights,
-                "noise": part.noise,
-                "uv": part.uv,
-            }
-            for part in self.agreements
+            vars(part) | {"target": part.target.to_json()} for part in self.agreements
         ]
         head: dict[str, Any] = {
             "format": FORMAT,
@@ -256,66 +228,28 @@ class FitRecord(Estimate):
             "converged": self.converged,
             "message": self.message,
         }
-        head["options"] = {
-            field.name: encode(getattr(self.model, field.name))
+        options = {
+            field.name: getattr(self.model, field.name)
             for field in dataclasses.fields(self.model)
             if field.metadata.get("static") or np.ndim(getattr(self.model, field.name)) > 0
         }
-        return head | {name: encode(value) for name, value in fields.items()}
+        return encode(head | {"options": options} | fields)
 
     @classmethod
-    def _from_json(
-        cls: type[Record], content: dict[str, Any], kind: type[AbstractSurface]
-    ) -> Record:
-        fields = {name: decode(value) for name, value in content.items()}
-        options = {
-            name: np.array(x, float) if isinstance(x, list) else x
-            for name, x in fields["options"].items()
-        }
-        model = kind(**options)
-        for name in parameters(model):
-            model = with_value(model, name, float(fields["values"][name]))
-        pose, count = fields["pose"], len(fields["names"])
-        kept = {field.name for field in dataclasses.fields(cls)} & fields.keys()
-        return cls(
-            **{name: fields[name] for name in kept}
-            | {
-                "model": model,
-                "status": Status(fields["status"]),
-                "pose": Pose(
-                    np.array(pose["rotation"]), np.array(pose["translation"]), pose["scale"]
-                ),
-                "names": tuple(fields["names"]),
-                "covariance": np.array(fields["covariance"], float).reshape(count, count),
-                "discrepancy": None
-                if fields.get("discrepancy") is None
-                else Discrepancy(**fields["discrepancy"]),
-                "posterior": _posterior(fields.get("posterior")),
-                "notes": tuple(fields["notes"]),
-                "warnings": tuple(map(FitWarning.from_json, fields["warnings"])),
-                "starts": tuple(Start(**start) for start in fields["starts"]),
-                "ranking": tuple(Rank(**rank) for rank in fields["ranking"]),
-                "profiles": {
-                    name: Profile(tuple(p["values"]), tuple(p["delta_chi2"]))
-                    for name, p in fields["profiles"].items()
-                },
-                "agreements": tuple(
-                    Agreement(
-                        observation_from_json(part["target"]),
-                        np.array(part["distances"], float),
-                        np.array(part["weights"], float),
-                        part["noise"],
-                        None if part["uv"] is None else np.array(part["uv"], float),
-                    )
-                    for part in fields["agreements"]
-                ),
-            }
+    def _of(cls: type[Record], file: FitFile, kind: type[AbstractSurface]) -> Record:
+        model = model_of(file, kind)
+        check(file, model)
+        kept = {field.name for field in dataclasses.fields(cls)} & set(FitFile.__struct_fields__)
+        fields: dict[str, Any] = {name: getattr(file, name) for name in kept}
+        fields["pose"] = Pose(
+            np.array(file.pose.rotation), np.array(file.pose.translation), file.pose.scale
         )
-
-
-def _posterior(fields: dict[str, Any] | None) -> Posterior | None:
-    if fields is None:
-        return None
-    names = tuple(fields["names"])
-    covariance = np.array(fields["covariance"], float)
-    return Posterior(names, covariance.reshape(len(names), len(names)))
+        fields["covariance"] = matrix(file.covariance)
+        fields["posterior"] = file.posterior and Posterior(
+            file.posterior.names, matrix(file.posterior.covariance)
+        )
+        fields["warnings"] = tuple(
+            FitWarning(warning.text, warning.kind, warning.parameters) for warning in file.warnings
+        )
+        fields["agreements"] = tuple(map(agreement_of, file.agreements))
+        return cls(model=model, **fields)

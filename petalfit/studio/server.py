@@ -11,6 +11,7 @@ import viser
 
 from petalfit.compilation.cache import folder_in_common
 from petalfit.studio.flower_page import FlowerPage
+from petalfit.studio.guard import own_pages_only
 from petalfit.studio.petal_page import PetalPage
 from petalfit.studio.session import Session
 from petalfit.studio.work import Workshop
@@ -45,7 +46,8 @@ class Studio:
         first = self._folder is None or not any(self._folder.iterdir())
         self._again = " (compiling, which only the first fit needs)" if first else ""
         self._sessions: dict[int, Session] = {}
-        with contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner
+        # viser prints a banner.
+        with contextlib.redirect_stdout(io.StringIO()), own_pages_only():
             self._server = viser.ViserServer(HOST, port, verbose=False)
         _dress(self._server.gui, dark=False)
         self._server.gui.set_panel_label("petalfit studio")

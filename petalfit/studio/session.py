@@ -17,6 +17,7 @@ from petalfit.flowers import FlowerError
 from petalfit.observations import TargetError
 from petalfit.studio.scenery import Scenery
 from petalfit.studio.uploads import bound_uploads
+from petalfit.studio.values import check_values
 from petalfit.studio.work import CalledOff, Work, Workshop
 
 log = logging.getLogger("petalfit.studio")
@@ -47,6 +48,7 @@ class Session:
         self.gui = client.gui
         self.scenery = Scenery(client)
         bound_uploads(client, self.complain)
+        check_values(client, self.complain)
 
     @property
     def busy(self) -> bool:

@@ -167,7 +167,8 @@ def _check_unpacked(path: Path) -> None:
 def bound_uploads(client: viser.ClientHandle, refuse: Callable[[str], None]) -> None:
     """Refuses uploads of more than `LARGEST` bytes, when they are announced or while they arrive.
 
-    viser itself has no limit, and keeps all parts in memory until the last one has arrived.
+    viser itself has no limit, and keeps all parts in memory until the last one has arrived. A browser
+    sends one file at a time, so that a new one takes the place of one that has not arrived.
 
     Args:
         client: The browser.
@@ -178,7 +179,13 @@ def bound_uploads(client: viser.ClientHandle, refuse: Callable[[str], None]) -> 
     start, part = gui._handle_file_transfer_start, gui._handle_file_transfer_part
 
     def bounded_start(sender: int, message: _messages.FileTransferStartUpload) -> None:
-        if message.size_bytes <= LARGEST:
+        size, parts = message.size_bytes, message.part_count
+        # No part is empty, so there are not more parts than bytes.
+        if type(size) is not int or type(parts) is not int or not 0 <= parts <= size:
+            refuse("That upload is damaged; send the file again.")
+            return
+        if size <= LARGEST:
+            uploads.clear()
             start(sender, message)  # pyright: ignore[reportArgumentType]
             return
         # This acknowledgement makes the page stop waiting for the upload.
@@ -186,19 +193,20 @@ def bound_uploads(client: viser.ClientHandle, refuse: Callable[[str], None]) -> 
             _messages.FileTransferPartAck(
                 source_component_uuid=message.source_component_uuid,
                 transfer_uuid=message.transfer_uuid,
-                transferred_bytes=message.size_bytes,
-                total_bytes=message.size_bytes,
+                transferred_bytes=size,
+                total_bytes=size,
             )
         )
-        refuse(too_large(message.filename, message.size_bytes))
+        refuse(too_large(str(message.filename), size))
 
     def bounded_part(sender: int, message: _messages.FileTransferPart) -> None:
         state = uploads.get(message.transfer_uuid)
         if state is None:
             return
-        if state["transferred_bytes"] + len(message.content) > state["total_bytes"]:
+        left = state["total_bytes"] - state["transferred_bytes"]
+        if not isinstance(message.content, bytes) or not 0 < len(message.content) <= left:
             uploads.pop(message.transfer_uuid)
-            refuse(f"{state['filename']} is longer than it was said to be; send it again.")
+            refuse(f"{state['filename']} is not as long as it was said to be; send it again.")
             return
         part(sender, message)  # pyright: ignore[reportArgumentType]
 

@@ -12,7 +12,12 @@ import pytest
 
 from petalfit.compilation import Program, store, use_store, watched
 from petalfit.compilation import cache as module
-from petalfit.compilation.cache import VARIABLE, compilation_cache, user_cache
+from petalfit.compilation.cache import (
+    VARIABLE,
+    compilation_cache,
+    open_to_others,
+    user_cache,
+)
 
 TRACED = []
 
@@ -204,3 +209,42 @@ def test_without_a_store_a_program_compiles_once_and_says_so() -> None:
     first, second = times
     assert first["compiling"] > 0
     assert "compiling" not in second
+
+
+@pytest.mark.skipif(os.name == "nt", reason="permissions are others there")
+@pytest.mark.parametrize("of_parent", [False, True], ids=["folder", "parent"])
+def test_a_folder_that_others_may_write_to_is_not_read(
+    root: Path, of_parent: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with compilation_cache():
+        compute()
+    (entry,) = entries(root)
+    place = root if of_parent else entry.parent
+    place.chmod(0o770)
+    module._say_once.cache_clear()
+    for _ in range(2):
+        with compilation_cache() as compiled:
+            assert not compiled
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert f"others may write to {place}, so compiled programs are neither read nor kept" in said
+    place.chmod(0o700)
+    with compilation_cache() as compiled:
+        assert compiled
+
+
+@pytest.mark.skipif(os.name == "nt", reason="permissions are others there")
+def test_a_folder_of_somebody_else_is_not_read(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    root.mkdir()
+    assert open_to_others(root) == ""
+    if os.geteuid() == 0:
+        os.chown(root, 12345, 12345)
+    else:
+        monkeypatch.setattr(os, "geteuid", lambda: 12345)
+    assert "belongs to somebody else" in open_to_others(root)
+
+
+def test_folders_are_made_for_the_user_alone(root: Path) -> None:
+    with compilation_cache():
+        compute()
+    assert root.stat().st_mode & 0o077 == 0

@@ -116,7 +116,7 @@ def test_heic(tmp_path):
 def test_heic_without_its_reader(tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "pillow_heif", None)
     (tmp_path / "p.heic").write_bytes(b"")
-    with pytest.raises(TargetError, match=r"petalfit\[heic\]"):
+    with pytest.raises(TargetError, match=r"petalfit\[formats\]"):
         Silhouette.load(tmp_path / "p.heic")
 
 
