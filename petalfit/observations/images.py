@@ -97,7 +97,7 @@ def _prepare(path: Path) -> None:
         from pillow_heif import register_heif_opener
     except ImportError:
         raise TargetError(
-            f"{path}: HEIC is read with pip install 'petalfit[formats]'; or save the photo as JPEG or PNG."
+            f"{path}: HEIC is read with pip install 'petalfit[formats]'; or save it as JPEG or PNG."
         ) from None
     register_heif_opener()
 

@@ -16,8 +16,8 @@ from petalfit.observations.atomic import atomic_path
 from petalfit.observations.camera import Camera
 from petalfit.observations.coverage import coverage, read_coverage
 from petalfit.observations.errors import TargetError, naming
-from petalfit.observations.observation import AbstractObservation
 from petalfit.observations.mask_pieces import petal_alone
+from petalfit.observations.observation import AbstractObservation
 from petalfit.observations.undistortion import undistorted
 from petalfit.observations.validation import ArrayLike
 
