@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -134,23 +136,48 @@ _NODES = 17
 def _newton(
     surface: AbstractSurface, points: Array, uv: Array, iterations: int | Array
 ) -> tuple[Array, Array, Array]:
-    """Foot points, a number for how doubtful each is, and half the squared distances.
-
-    Points that would still move are the most doubtful, followed by those that are weakly determined.
-    """
-    low, high = limits(surface)
+    """Foot points, a number for how doubtful each is, and half the squared distances."""
 
     @jax.vmap
     def expand(uv: Array, x: Array) -> tuple[Array, Array, Array]:
-        slope = jax.value_and_grad(lambda uv: half_squared_distance(surface, uv, x))
-        along = jax.vmap(lambda direction: jax.jvp(slope, (uv,), (direction,)), out_axes=(None, 0))
-        (value, gradient), (_, hessian) = along(jnp.eye(2, dtype=uv.dtype))
-        return value, gradient, hessian
+        return expanded(lambda uv: half_squared_distance(surface, uv, x), uv)
+
+    return least_places(lambda uv: expand(uv, points), uv, iterations, *limits(surface))
+
+
+def expanded(cost: Callable[[Array], Array], uv: Float[Array, "2"]) -> tuple[Array, Array, Array]:
+    """The value, the gradient and the Hessian of the cost of one place."""
+    slope = jax.value_and_grad(cost)
+    along = jax.vmap(lambda direction: jax.jvp(slope, (uv,), (direction,)), out_axes=(None, 0))
+    (value, gradient), (_, hessian) = along(jnp.eye(2, dtype=uv.dtype))
+    return value, gradient, hessian
+
+
+def least_places(
+    expand: Callable[[Array], tuple[Array, Array, Array]],
+    uv: Float[Array, "n 2"],
+    iterations: int | Array,
+    low: Float[Array, "2"],
+    high: Float[Array, "2"],
+) -> tuple[Array, Array, Array]:
+    """Places of least cost, by damped Newton steps for all points at once.
+
+    Args:
+        expand: Costs, their gradients and their Hessians at given places, shapes (n,), (n, 2), (n, 2, 2).
+        uv: The start of every point.
+        iterations: The number of steps.
+        low: The least u and v.
+        high: The greatest u and v.
+
+    Returns:
+        The places, a number for how doubtful each is, and the costs. Points that would still move are the
+        most doubtful, followed by those that are weakly determined.
+    """
 
     def step(_: Array, state: tuple) -> tuple:
         uv, move, _, value, gradient, hessian, damping = state
         trial = jnp.clip(uv + move, low, high)
-        expansion = expand(trial, points)
+        expansion = expand(trial)
         better = expansion[0] <= value
         uv, value, gradient, hessian = (
             jnp.where(better.reshape(-1, *(1,) * (new.ndim - 1)), new, old)
@@ -163,7 +190,7 @@ def _newton(
         return uv, move, doubt, value, gradient, hessian, damping
 
     # The first pass only evaluates the expansion at the start.
-    n = len(points)
+    n = len(uv)
     flat = (jnp.full(n, jnp.inf), jnp.zeros((n, 2)), jnp.zeros((n, 2, 2)))
     state = (uv, jnp.zeros((n, 2)), jnp.zeros(n), *flat, jnp.zeros(n))
     uv, _, doubt, value, *_ = jax.lax.fori_loop(0, iterations + 1, step, state)

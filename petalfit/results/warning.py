@@ -20,7 +20,7 @@ class WarningKind(WithMeaning):
     AT_BOUND = "at_bound", "A parameter ended at the bound of its range."
     COMBINATION = "combination", "Only a combination of parameters is determined."
     RIVALS = "rivals", "Other starts ended elsewhere, almost as well."
-    FLIPS = "flips", "The parameters alternate between two states that are nearly the same."
+    FLIPS = "flips", "The parameters still move by a small part of their errors."
     NOISE = "noise", "Distances are larger than the noise that was given."
     OUTLIERS = "outliers", "Some points lie far beyond the typical distance."
     COVERAGE = "coverage", "Part of the surface has no data near it."

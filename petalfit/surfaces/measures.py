@@ -18,7 +18,8 @@ class Measures(NamedTuple):
 
     Attributes:
         length: Arc length of the midrib.
-        width: The greatest length of a line of constant v, along the surface.
+        width: The greatest distance between the margins, measured along the surface at right angles to
+            the lines of constant u.
         width_at: Where that is: the arc length from the base, as a fraction of the length.
         area: Area of one face.
         perimeter: Length of the whole margin.
@@ -60,7 +61,11 @@ def measures(grids: Float[np.ndarray, "k m n 3"], orientation: float = 1.0) -> M
     midrib, stretch = grids[:, middle], along[:, middle]
     run = np.concatenate([np.zeros((len(grids), 1)), np.cumsum(stretch, axis=1)], axis=1)
     length = run[:, -1]
-    widths = np.sum(across, axis=1)
+    # The parts of the steps across that are at right angles to the lines along the sheet.
+    ahead = _unit(np.gradient(grids, axis=2))
+    ahead = _unit(ahead[:, 1:] + ahead[:, :-1])
+    square = rows - ahead * np.sum(rows * ahead, axis=-1, keepdims=True)
+    widths = np.sum(_norm(square), axis=1)
     peak = _peak(widths)
     normal = orientation * _unit(np.cross(np.gradient(grids, axis=1), np.gradient(grids, axis=2)))
     turns = np.sum(np.diff(_unit(columns[:, middle]), axis=1) * normal[:, middle, 1:-1], axis=-1)

@@ -5,7 +5,12 @@ import pytest
 from scipy.spatial.distance import cdist
 
 import petalfit as pf
-from petalfit.fitting.inference.discrepancy import Rows, discrepancy_of, is_suspect
+from petalfit.fitting.inference.discrepancy import (
+    Rows,
+    discrepancy_of,
+    is_suspect,
+    temperature,
+)
 
 from .conftest import NAMES
 
@@ -61,6 +66,16 @@ def test_intervals_hold_under_a_linear_misfit(length, smooth):
 def test_noise_alone_has_no_discrepancy():
     every = [linear_rows(None, True, seed)[1] for seed in range(30)]
     assert sum(discrepancy_of(rows) is not None for rows in every) <= 2
+
+
+def test_the_temperature_is_bounded_and_one_without_misfit():
+    _, rows = linear_rows(0.1, True, 0)
+    found = discrepancy_of(rows)
+    assert found is not None
+    total = float(np.sum(rows.weights))
+    assert 1 < temperature(rows, found[1], total) <= total / 100
+    assert temperature(rows, found[1], 50.0) == 1
+    assert temperature(rows, 0 * found[1], total) == 1
 
 
 @pytest.mark.parametrize(("length", "share"), [(None, (0.0, 0.4)), (0.1, (1.0, 1.0))])

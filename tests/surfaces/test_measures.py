@@ -62,7 +62,11 @@ def test_a_petal_of_no_special_shape():
     v = np.linspace(0, 1, 2001)
     u = np.linspace(-0.5, 0.5, 401)
     grid = np.asarray(blade(*np.meshgrid(u, v, indexing="ij")), float)
-    widths = np.linalg.norm(np.diff(grid, axis=0), axis=-1).sum(axis=0)
+    # At right angles to the lines of constant u: the area of a strip, divided by its length.
+    across, along = np.diff(grid, axis=0), np.gradient(grid, axis=1)
+    along = 0.5 * (along[1:] + along[:-1])
+    strips = np.linalg.norm(np.cross(across, along), axis=-1)
+    widths = (strips / np.linalg.norm(along, axis=-1)).sum(axis=0)
     steps = np.linalg.norm(np.diff(grid[200], axis=0), axis=-1)
     assert found["length"] == pytest.approx(steps.sum(), rel=1e-4)
     assert found["width"] == pytest.approx(widths.max(), rel=1e-3)

@@ -1,5 +1,6 @@
 """The coordinates in which a fit works, and priors on them."""
 
+from petalfit.fitting.coordinates.box import Box as Box
 from petalfit.fitting.coordinates.coordinates import Coordinates as Coordinates
 from petalfit.fitting.coordinates.coordinates import Model as Model
 from petalfit.fitting.coordinates.coordinates import Numbers as Numbers

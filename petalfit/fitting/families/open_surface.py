@@ -15,23 +15,29 @@ from petalfit.components import Posed
 from petalfit.fitting.coordinates import Coordinates, in_doubles, with_values
 from petalfit.fitting.families.family import AbstractFamily
 from petalfit.fitting.families.polish import likelier
-from petalfit.fitting.likelihood.cloud import ObservedCloud
+from petalfit.fitting.inference.discrepancy import discrepancy_of, temperature
+from petalfit.fitting.inference.linear_rows import may_have_misfit, rows_of
+from petalfit.fitting.likelihood.cloud import ObservedCloud, pad
 from petalfit.fitting.outliers.scan import Scan
 from petalfit.fitting.request.checks import POSES
 from petalfit.fitting.request.request import Request, scan_of
 from petalfit.fitting.solver.all_points import with_all_points
-from petalfit.fitting.solver.debias import without_bias
+from petalfit.fitting.solver.debias import evaluate
 from petalfit.fitting.solver.descent import HELD, HELD_BACK, Descent, terms_of
 from petalfit.fitting.solver.iterate import Iterate
 from petalfit.fitting.solver.observer import report
+from petalfit.fitting.solver.settle import settle
 from petalfit.fitting.starts.frame import NormalisedFrame
+from petalfit.observations import PointCloud
 from petalfit.surfaces import AbstractSurface, value_at
 
 # Numbers of points for the search for starts, and for rough steps.
 _SOME = 1536
 _ROUGHLY = 768
 _FOLLOWED = 2
-_ROUGH, _FINE = 10, 30  # steps
+_ROUGH, _NEAR = 10, 10  # steps, after which the likelihood of a sheet takes over
+_FEW = 2  # steps with all points of a large cloud
+_ROUNDS = 100  # evaluations of that likelihood at most
 # A start whose χ² is worse than the best's by more than this after rough steps is not followed.
 _HOPELESS = 0.2  # of the number of points
 _SETTLED = 0.3  # √χ² of a step's gain
@@ -153,12 +159,20 @@ class OpenSurfaceFamily(AbstractFamily):
             end = rough.descend(coordinates, model, _ROUGH, 3.0)
             near.append(dataclasses.replace(end, label=label))
         near.sort(key=lambda end: end.chi2)
-        ends: list[Iterate] = []
+        beside: list[Iterate] = []
         for start in near:
             if start.chi2 - near[0].chi2 < _HOPELESS * len(rough.cloud.data.points):
-                report(f"polishing from {start.label}")
+                report(f"approaching from {start.label}")
                 with stage("polishing"):
-                    ends.append(_settled(Coordinates.of(start.model, names), start, scan))
+                    beside.append(_beside(Coordinates.of(start.model, names), start, scan))
+        beside.sort(key=lambda end: end.chi2)
+        heat = _temperature(beside[0], names, scan)
+        ends: list[Iterate] = []
+        for end in beside:
+            report(f"polishing from {end.label}")
+            least = min((other.chi2 for other in ends), default=np.inf)
+            with stage("polishing"):
+                ends.append(_settled(end, names, scan, heat, least))
         ends.sort(key=lambda end: end.chi2)
         if found:
             by_label = {start.label: start for start in found}
@@ -201,12 +215,16 @@ def _with_base_near(starts: Sequence[CloudStart], place: Float[np.ndarray, "3"])
 
 
 def _descended(
-    coordinates: Coordinates, model: AbstractSurface, scan: Scan, held: float = HELD
+    coordinates: Coordinates,
+    model: AbstractSurface,
+    scan: Scan,
+    steps: int = _NEAR,
+    held: float = HELD,
 ) -> Iterate:
     """Descends from a model; if points may be outliers, again after each search for them."""
     points, weights, members = scan.points, scan.weights, scan.likely.astype(float)
     descent = Descent.of(points, weights, scan.noise, members)
-    end = descent.descend(coordinates, model, _FINE, _SETTLED, held)
+    end = descent.descend(coordinates, model, steps, _SETTLED, held)
     if scan.background is None:
         return end
     clearings, rounds = 0, end.rounds
@@ -222,27 +240,62 @@ def _descended(
             return dataclasses.replace(end, rounds=rounds, mixture=found)
 
 
-def _settled(coordinates: Coordinates, start: Iterate, scan: Scan) -> Iterate:
-    """The end of a start, found with some of the points first, then with all."""
-    number, model = 0, start.model
+def _beside(coordinates: Coordinates, start: Iterate, scan: Scan) -> Iterate:
+    """Brings a start beside the cloud, with some of the points first, then with all."""
+    number, model, steps = 0, start.model, _NEAR
     if len(scan.points) > 2 * _SOME:
         near = _descended(coordinates, model, scan.first(_SOME))
-        model, number = near.model, near.rounds
-    end = _descended(coordinates, model, scan)
+        model, number, steps = near.model, near.rounds, _FEW
+    end = _descended(coordinates, model, scan, steps)
     if float(terms_of(end)[0].sigma) > _FAR * np.linalg.norm(np.ptp(scan.points, axis=0)):
         # The descent may have ended in a wrong minimum, which shorter steps may avoid.
-        other = _descended(coordinates, model, scan, HELD_BACK)
+        other = _descended(coordinates, model, scan, steps, HELD_BACK)
         end = min(end, other, key=lambda end: end.chi2)
-    end = dataclasses.replace(end, rounds=number + end.rounds)
     cloud = terms_of(end)[0]
-    alone = dataclasses.replace(end, terms=(cloud,))
-    settled = without_bias(coordinates, start.label, [ObservedCloud(cloud.data)], alone)
-    (seen,) = settled.residuals
+    end = dataclasses.replace(end, rounds=number + end.rounds, terms=(cloud,))
+    return _trimmed(evaluate(coordinates, start.label, [ObservedCloud(cloud.data)], end), scan)
+
+
+def _temperature(end: Iterate, names: tuple[str, ...], scan: Scan) -> float:
+    """The temperature at which the likelihood is used, judged by the distances beside the cloud."""
+    if not may_have_misfit(end, len(names)):
+        return 1.0
+    rows = rows_of(end, names, PointCloud(scan.points))
+    found = None if rows is None else discrepancy_of(rows)
+    if rows is None or found is None:
+        return 1.0
+    return temperature(rows, found[1], float(np.sum(end.residuals[0].weights)))
+
+
+def _settled(
+    end: Iterate, names: tuple[str, ...], scan: Scan, heat: float, least: float
+) -> Iterate:
+    """The stationary point of the likelihood that is reached from beside the cloud.
+
+    It is not followed further once it clearly will not reach the χ² of another end, `least`.
+    """
+    weights, noise = end.residuals[0].weights, float(end.terms[0].sigma)
+    model, rounds = end.model, end.rounds
+    if len(scan.points) > 2 * _SOME:
+        # Some of the points bring it within a few errors of the end that all of them have.
+        some = pad(scan.points[:_SOME], weights[:_SOME], scan.noise)
+        share = float(np.sum(weights[:_SOME]) / np.sum(weights))
+        near = settle(model, names, some, noise, max(heat * share, 1.0), _ROUNDS, end.label)
+        model, noise, rounds = near.model, float(near.terms[0].sigma), rounds + near.rounds
+    data = pad(scan.points, weights, scan.noise)
+    settled = settle(model, names, data, noise, heat, _ROUNDS, end.label, least)
+    settled = dataclasses.replace(settled, rounds=rounds + settled.rounds, mixture=end.mixture)
+    return _trimmed(settled, scan)
+
+
+def _trimmed(end: Iterate, scan: Scan) -> Iterate:
+    """The end without padding, and with the likelihood of its mixture if points may be outliers."""
+    (seen,) = end.residuals
     assert seen.uv is not None
     n = len(scan.points)
     seen = seen._replace(distance=seen.distance[:n], weights=seen.weights[:n], uv=seen.uv[:n])
-    settled = dataclasses.replace(settled, residuals=(seen,))
-    return settled if settled.mixture is None else likelier(settled)
+    end = dataclasses.replace(end, residuals=(seen,))
+    return end if end.mixture is None else likelier(end)
 
 
 def turned_over(

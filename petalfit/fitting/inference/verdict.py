@@ -28,10 +28,9 @@ _GROSS = 6.0  # in units of the noise
 _EMPTY = 0.1  # part of the surface without data, above which there is a warning
 _ROUNDING = 1e-6  # smaller distances, relative to a target's size, are rounding errors
 _MOSTLY_OUTLIERS = 0.6  # part of the points that are outliers, above which nothing was fitted
-# If foot points jump between two folds, a fit may flip for ever between two states that are nearly the
-# same. If they are up to _SETTLED standard errors apart the fit counts as converged, with a warning if
-# they are more than _FLIPS apart.
-_SETTLED, _FLIPS = 0.5, 0.05
+# A fit counts as converged if its parameters still move by at most _SETTLED standard errors, with a
+# warning if it is more than _FLIPS: points that jump between two folds may keep a fit moving for ever.
+_SETTLED, _FLIPS = 0.5, 0.2
 
 
 def ending(best: Iterate, finite: bool, misfits: Sequence[str], outcome: str) -> tuple[Status, str]:
@@ -118,10 +117,12 @@ def not_determined(identifiable: Mapping[str, bool], what: str = "target") -> li
 
 
 def flips(best: Iterate) -> list[FitWarning]:
-    """A warning if a fit that counts as converged goes on flipping between two states."""
+    """A warning if the parameters of a fit that counts as converged still move a little."""
     if not _FLIPS < best.moved <= _SETTLED:
         return []
-    return [FitWarning(f"parameters flip by {best.moved:.2g} standard errors", WarningKind.FLIPS)]
+    return [
+        FitWarning(f"parameters still move by {best.moved:.2g} standard errors", WarningKind.FLIPS)
+    ]
 
 
 def rival_starts(

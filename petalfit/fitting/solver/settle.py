@@ -1,0 +1,296 @@
+"""Descent to a stationary point of the likelihood of a sheet, inside the bounds of its parameters."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from petalfit.components import Posed, parameters
+from petalfit.fitting.coordinates import Box, Prior
+from petalfit.fitting.likelihood import programs
+from petalfit.fitting.likelihood.foot_points import guess_foot_points, signed_distance
+from petalfit.fitting.likelihood.observed import Residuals
+from petalfit.fitting.likelihood.sheet import NUISANCES, SEARCH, STEPS, SheetCost, sheet_cost
+from petalfit.fitting.solver.iterate import Iterate
+from petalfit.fitting.solver.observer import show
+from petalfit.residuals import Data, TangentDistance
+from petalfit.surfaces import AbstractSurface
+
+# The inverse standard deviation of the prior on a model's own parameters, in units of the spread of the
+# typical range. It gives a valley one bottom, and moves a parameter whose standard error is below 0.3
+# spreads by less than a tenth of that.
+ALWAYS = 1 / 3
+_TOLERANCE = 0.2  # standard errors
+_LOOK_AGAIN = 12  # steps, after which places are searched for on the whole surface
+_JITTER = 1e-4  # rise of the cost that is accepted, because a nearest segment may change
+_FIRST, _LEAST, _MOST = 1.0, 1e-3, 1e10  # damping, per squared spread
+# log τ/σ, the blur of the edges relative to the noise: its least, first and greatest value.
+_BLURS = (0.0, 0.1, 3.0)
+_QUIETER = 1.5  # the greatest change of log σ in a step
+# A descent is not followed further if its cost is higher than that of another end by more than the first
+# number, and by more than the second one times what it gained since the last search.
+_HOPELESS, _LAGGING = 5.0, 1.0
+_FLOOR = 1e-9  # the least noise, relative to the extent
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Stand:
+    """Where a descent stands.
+
+    Attributes:
+        z: Coordinates of the free parameters, log σ and log τ/σ.
+        places: The places of the points.
+        cost: The cost with the prior, at the problem's temperature.
+        gradient: Its derivative.
+        information: Its information.
+    """
+
+    z: Float[np.ndarray, " q"]
+    places: Float[np.ndarray, "n 2"]
+    cost: float
+    gradient: Float[np.ndarray, " q"]
+    information: Float[np.ndarray, "q q"]
+
+    @property
+    def is_finite(self) -> bool:
+        return bool(np.isfinite(self.cost) and np.isfinite(self.gradient).all())
+
+    @property
+    def sigma(self) -> float:
+        return float(np.exp(self.z[-2]))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Settling:
+    """The problem of a descent: the likelihood of a cloud with the prior, inside a box.
+
+    Attributes:
+        box: The free parameters.
+        data: The cloud.
+        prior: The prior on the parameters.
+        temperature: T, by which −log L is divided.
+        low: Lower bounds of z.
+        high: Upper bounds of z.
+    """
+
+    box: Box
+    data: Data
+    prior: Prior
+    temperature: float
+    low: Float[np.ndarray, " q"]
+    high: Float[np.ndarray, " q"]
+
+    @classmethod
+    def of(
+        cls, model: AbstractSurface, free: tuple[str, ...], data: Data, temperature: float
+    ) -> Settling:
+        box = Box.of(model, free)
+        extent = float(np.linalg.norm(np.ptp(np.asarray(data.points), axis=0)))
+        given = float(data.sigma)
+        sigmas = (_FLOOR * extent, extent) if np.isnan(given) else (given, given)
+        low = np.concatenate([box.low, [np.log(sigmas[0]), _BLURS[0]]])
+        high = np.concatenate([box.high, [np.log(sigmas[1]), _BLURS[2]]])
+        return cls(box, data, always(box), temperature, low, high)
+
+    def start(self, model: AbstractSurface, sigma: float) -> Stand:
+        """Where the descent begins: the model, moved inside its bounds, and the noise σ."""
+        box = self.box
+        # A start on a bound could not leave it where its derivatives vanish.
+        inside = 1e-3 * (box.high - box.low)
+        own = np.clip(box.place(model), box.low + inside, box.high - inside)
+        z = np.clip(np.concatenate([own, [np.log(sigma), _BLURS[1]]]), self.low, self.high)
+        return self.search(z, None)
+
+    def search(self, z: Float[np.ndarray, " q"], places: Float[np.ndarray, "n 2"] | None) -> Stand:
+        """The cost at z, after a search for places that are likelier than the known ones, if any."""
+        uv = np.asarray(programs.nearest(self.box.model(z[:-NUISANCES]), self.data.points))
+        found = self._evaluated(z, uv, SEARCH)
+        if places is None:
+            return self._stand(z, found)
+        known = self._evaluated(z, places, STEPS)
+        likelier = np.asarray(found.each) < np.asarray(known.each)
+        if not np.any(likelier & (np.asarray(self.data.weights) > 0)):
+            return self._stand(z, known)
+        nearest = np.where(likelier[:, None], np.asarray(found.places), np.asarray(known.places))
+        return self.stand(z, nearest)
+
+    def stand(self, z: Float[np.ndarray, " q"], places: Float[np.ndarray, "n 2"]) -> Stand:
+        """The cost at z, with places near the given ones."""
+        return self._stand(z, self._evaluated(z, places, STEPS))
+
+    def _evaluated(
+        self, z: Float[np.ndarray, " q"], places: Float[np.ndarray, "n 2"], steps: int
+    ) -> SheetCost:
+        return sheet_cost(self.box, self.data, z, places, steps)
+
+    def _stand(self, z: Float[np.ndarray, " q"], here: SheetCost) -> Stand:
+        """The cost at z with the prior."""
+        nothing = np.zeros(NUISANCES)
+        root = np.append(self.prior.root, nothing)
+        away = root * (z - np.append(self.prior.centre, nothing))
+        return Stand(
+            z,
+            np.asarray(here.places),
+            float(here.cost) / self.temperature + 0.5 * float(away @ away),
+            np.asarray(here.gradient) / self.temperature + root * away,
+            np.asarray(here.information) / self.temperature + np.diag(root**2),
+        )
+
+    def step(self, here: Stand, damping: float) -> Float[np.ndarray, " q"]:
+        """The step to the least value of the damped quadratic model inside the box."""
+        low, high = self.low - here.z, self.high - here.z
+        low[-2], high[-2] = max(low[-2], -_QUIETER), min(high[-2], _QUIETER)
+        return _least(here.gradient, here.information + damping * np.eye(len(here.z)), low, high)
+
+    def left(self, here: Stand) -> float:
+        """The length of the undamped step, in standard errors."""
+        step = self.step(here, 0.0)
+        return float(np.sqrt(max(step @ here.information @ step, 0.0)))
+
+
+def settle(
+    model: AbstractSurface,
+    free: tuple[str, ...],
+    data: Data,
+    sigma: float,
+    temperature: float,
+    rounds: int,
+    label: str = "",
+    least: float = np.inf,
+) -> Iterate:
+    """Follows the likelihood of a sheet from a start to its stationary point.
+
+    The method is Gauss-Newton with Levenberg's damping: directions that the data hardly determine take
+    short steps, the others whole ones. A parameter at a bound is held there while the cost would push it
+    out.
+
+    Args:
+        model: The start.
+        free: Names of the free parameters.
+        data: The cloud.
+        sigma: The noise at the start.
+        temperature: T, by which −log L is divided before the prior is added.
+        rounds: Upper bound of the number of evaluations.
+        label: The label of the end.
+        least: The χ² of another end. A descent that is far above it, and gains little, stops.
+
+    Returns:
+        The end. Its `moved` is the length of the Gauss-Newton step that is left, in standard errors.
+    """
+    problem = Settling.of(model, free, data, temperature)
+    here, damping, factor, number, since = problem.start(model, sigma), _FIRST, 2.0, 1, 0
+    moved, before = problem.left(here), here.cost
+    while number < rounds and (moved > _TOLERANCE or since > 0):
+        number += 1
+        if moved <= _TOLERANCE or since == _LOOK_AGAIN:
+            missing = here.cost - least / (2 * temperature)
+            if missing > max(_HOPELESS, _LAGGING * (before - here.cost)):
+                break
+            before = here.cost
+            here, since = problem.search(here.z, here.places), 0
+            moved = problem.left(here)
+            continue
+        step = problem.step(here, damping)
+        promised = -float(here.gradient @ step + 0.5 * step @ here.information @ step)
+        there = problem.stand(here.z + step, here.places)
+        gain, since = here.cost - there.cost, since + 1
+        if there.is_finite and gain > -_JITTER:
+            share = gain / promised if promised > 10 * _JITTER else 1.0
+            damping = max(damping * max(0.2, 1 - (2 * share - 1) ** 3), _LEAST)
+            here, factor, moved = there, 2.0, problem.left(there)
+            show(problem.box.model(here.z[:-NUISANCES]), [_term(data, here)])
+        else:
+            damping, factor = damping * factor, min(2 * factor, 32.0)
+            if damping > _MOST:
+                break
+    return _end(problem, here, number, moved, label)
+
+
+def always(box: Box) -> Prior:
+    """The weak prior on a model's own parameters that every fit of a sheet has."""
+    own = parameters(box.template.surface if isinstance(box.template, Posed) else box.template)
+    return Prior(box.middle(), np.array([ALWAYS if name in own else 0.0 for name in box.free]))
+
+
+def _least(
+    gradient: Float[np.ndarray, " q"],
+    curvature: Float[np.ndarray, "q q"],
+    low: Float[np.ndarray, " q"],
+    high: Float[np.ndarray, " q"],
+) -> Float[np.ndarray, " q"]:
+    """The step to the least value of a convex quadratic model inside a box, by an active set."""
+    scale = 1 / np.sqrt(np.maximum(np.diag(curvature), 1e-300))
+    slope, matrix = gradient * scale, curvature * np.outer(scale, scale)
+    matrix = matrix + 1e-12 * np.eye(len(scale))
+    low, high = np.minimum(low / scale, 0.0), np.maximum(high / scale, 0.0)
+    step, held = np.zeros(len(scale)), np.zeros(len(scale), bool)
+    for _ in range(4 * len(scale)):
+        free, goal = ~held, step.copy()
+        force = slope[free] + matrix[np.ix_(free, held)] @ step[held]
+        goal[free] = -np.linalg.solve(matrix[np.ix_(free, free)], force)
+        over = np.where(goal > high, high - step, np.where(goal < low, low - step, np.inf))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = np.where(np.isfinite(over), over / (goal - step), 1.0)
+        share = np.where(free, share, 1.0)
+        first = int(np.argmin(share))
+        if share[first] < 1.0:
+            step = step + max(share[first], 0.0) * (goal - step)
+            step[first], held[first] = np.clip(goal[first], low[first], high[first]), True
+            continue
+        step = goal
+        pull = slope + matrix @ step
+        wrong = np.where(held, np.where(step <= low, -pull, pull), -np.inf)
+        if np.max(wrong) <= 1e-9 * np.max(np.abs(slope), initial=1e-300):
+            break
+        held[int(np.argmax(wrong))] = False
+    return np.clip(step, low, high) * scale
+
+
+def _term(data: Data, here: Stand) -> TangentDistance:
+    # Places in the plane are good enough for a picture; `_end` finds foot points on the surface.
+    return TangentDistance(data=data, uv=jnp.asarray(here.places), sigma=jnp.asarray(here.sigma))
+
+
+def _end(problem: Settling, here: Stand, rounds: int, moved: float, label: str) -> Iterate:
+    box, data = problem.box, problem.data
+    model = box.model(here.z[:-NUISANCES])
+    uv = programs.refine(model, data.points, guess_foot_points(model, data.points), 3)
+    frames = programs.frames(model, uv)
+    distance = np.asarray(frames.distance(data.points))
+    beyond = np.max(np.asarray(frames.beyond(data.points)), axis=-1)
+    residuals = Residuals(
+        signed_distance(distance, beyond),
+        np.asarray(data.weights),
+        here.sigma,
+        "length",
+        2 * problem.temperature * here.cost,
+        np.asarray(uv),
+    )
+    without_prior = here.information - np.diag(
+        np.append(problem.prior.root, np.zeros(NUISANCES)) ** 2
+    )
+    information = problem.temperature * _without_nuisances(without_prior)
+    slopes = np.asarray(box.slopes(here.z[:-NUISANCES]))
+    information = information / np.outer(slopes, slopes)
+    return Iterate(
+        model,
+        (TangentDistance(data=data, uv=uv, sigma=jnp.asarray(here.sigma)),),
+        rounds,
+        moved,
+        here.z[:-NUISANCES],
+        2 * problem.temperature * here.cost,
+        label,
+        information,
+        information,
+        (residuals,),
+    )
+
+
+def _without_nuisances(information: Float[np.ndarray, "q q"]) -> Float[np.ndarray, "p p"]:
+    """The information of the parameters, with log σ and log τ/σ estimated beside them."""
+    own, across = information[:-NUISANCES, :-NUISANCES], information[:-NUISANCES, -NUISANCES:]
+    nuisances = information[-NUISANCES:, -NUISANCES:] + 1e-9 * np.eye(NUISANCES)
+    return own - across @ np.linalg.solve(nuisances, across.T)
