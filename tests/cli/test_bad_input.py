@@ -83,17 +83,17 @@ def _without(*names: str) -> Callable[[dict], object]:
 
 INITS: dict[str, tuple[Callable[[dict], object], str]] = {
     "garbage": (lambda content: "{", "cannot be read as a fit result"),
-    "list": (lambda content: [1, 2], "is not a fit result"),
+    "list": (lambda content: [1, 2], "cannot be read as a fit result: expected an object"),
     "format": (_without("format"), "is not a fit result"),
     "version": (lambda content: content | {"version": 99}, "has version 99 of the format"),
-    "missing": (_without("values"), "is a damaged fit result "),
+    "missing": (_without("values"), "is a damaged fit result: .*values"),
     "words": (
         lambda content: content | {"values": content["values"] | {"a_x": "wide"}},
         "is a damaged fit result",
     ),
     "outside": (
         lambda content: content | {"values": content["values"] | {"a_x": 250.0}},
-        r"a_x = 250 of the start lies outside its range \(1, 100\)",
+        r"a_x is 250, outside of its range \(1, 100\)",
     ),
 }
 

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 
 from petalfit import Camera, FitResult, PointCloud, Silhouette
+from petalfit.observations import Contour
 from petalfit.results import Agreement
 from tests.fitted import changed, known_pose
 
@@ -12,7 +13,11 @@ CAMERA = Camera.look_at((30, -40, 70), (0, 12, 0), (40, 50), field_of_view=0.6)
 
 
 def of(*targets: PointCloud | Silhouette) -> FitResult:
-    parts = tuple(Agreement(target, np.zeros(9), np.ones(9), 0.1) for target in targets)
+    parts = []
+    for target in targets:
+        n = len(target if isinstance(target, PointCloud) else Contour.of(target).place)
+        parts.append(Agreement(target, np.zeros(n), np.ones(n), 0.1))
+    parts = tuple(parts)
     return dataclasses.replace(known_pose(), agreements=parts)
 
 
