@@ -69,15 +69,18 @@ def unnamed_columns(table: Float64[np.ndarray, "n k"]) -> Columns:
         TargetError: The first column may as well be a number or a class of the point as its x.
     """
     notes: tuple[str, ...] = ()
-    if _counts(table[:, 0]):
+    normals = _normals(table)
+    # Three columns before a normal are x, y and z without a doubt.
+    if normals is None and _counts(table[:, 0]):
         if table.shape[1] == 3:
             raise TargetError(
                 "has three columns without names, of which the first one numbers the rows; two are left "
                 "for x, y and z. Add the missing one."
             )
         table = table[:, 1:]
+        normals = _normals(table)
         notes = ("the first column numbers the points, and was left out",)
-    elif table.shape[1] > 3:
+    elif normals is None and table.shape[1] > 3:
         whole = [bool((column == np.rint(column)).all()) for column in table[:, :3].T]
         if whole == [True, False, False]:
             raise TargetError(
@@ -85,11 +88,6 @@ def unnamed_columns(table: Float64[np.ndarray, "n k"]) -> Columns:
                 "next two do not: it may be x, or a number or a class of the point. Name the columns in "
                 "the first line, for instance: id x y z."
             )
-    normals = None
-    if table.shape[1] == 6:
-        length = np.linalg.norm(table[:, 3:], axis=1)
-        if length.any() and (np.abs(length[length != 0.0] - 1.0) < UNIT_TOLERANCE).all():
-            normals = table[:, 3:]
     return {
         "points": table[:, :3],
         "normals": normals,
@@ -97,6 +95,15 @@ def unnamed_columns(table: Float64[np.ndarray, "n k"]) -> Columns:
         "colours": None,
         "notes": notes,
     }
+
+
+def _normals(table: Float64[np.ndarray, "n k"]) -> Float64[np.ndarray, "n 3"] | None:
+    """The last three of six columns, if they are unit vectors, or zero for unknown ones."""
+    if table.shape[1] != 6:
+        return None
+    length = np.linalg.norm(table[:, 3:], axis=1)
+    unit = np.abs(length[length != 0.0] - 1.0) < UNIT_TOLERANCE
+    return table[:, 3:] if len(unit) and unit.all() else None
 
 
 def _counts(column: Float64[np.ndarray, " n"]) -> bool:

@@ -10,7 +10,7 @@ import trimesh
 from formats import e57_of, las_of, pcd_of, ply_of, text_of
 
 from petalfit.observations import PointCloud, TargetError
-from petalfit.observations.columns import understood
+from petalfit.observations.columns import understood, unnamed_columns
 from petalfit.observations.sheets import sheet_notes
 
 POINTS = np.random.default_rng(0).normal(size=(40, 3))
@@ -431,3 +431,11 @@ class TestArrays:
         np.testing.assert_array_equal(PointCloud.load(tmp_path / "b.npy").points, POINTS)
         np.save(tmp_path / "c.npy", np.column_stack([POINTS, np.ones(40)]))
         np.testing.assert_array_equal(PointCloud.load(tmp_path / "c.npy").points, POINTS)
+
+
+def test_whole_numbers_before_a_normal_are_coordinates():
+    points = np.array([[0.0, 0, 0], [1, 0.5, 0], [2, 0, 0.5], [3, 0.25, 0.5]])
+    table = np.column_stack([points, np.tile([0.0, 0, 1], (4, 1))])
+    found = unnamed_columns(table)
+    assert np.array_equal(found["points"], points)
+    assert found["normals"] is not None

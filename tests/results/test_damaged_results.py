@@ -1,9 +1,12 @@
 """Damaged fit.json: refused with a sentence, or a result that can be saved, meshed and reported."""
 
+import base64
 import dataclasses
 import functools
 import json
 import re
+import tracemalloc
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +14,7 @@ import pytest
 
 import petalfit as pf
 from petalfit.export import export_mesh
+from petalfit.observations import Silhouette, TargetError, observation_from_json
 from petalfit.results import Profile
 from petalfit.results.record import FitRecord
 from petalfit.studio import words
@@ -135,3 +139,17 @@ def test_nothing_in_a_fit_is_markup(tmp_path):
     )
     result.save(tmp_path / "fit.json")
     use(pf.FitResult.load(tmp_path / "fit.json"), tmp_path)
+
+
+def test_a_mask_unpacks_to_no_more_than_its_shape():
+    mask = np.zeros((60, 50))
+    mask[10:50, 10:40] = 1
+    content = Silhouette(mask).to_json()
+    bomb = base64.b64encode(zlib.compress(bytes(100_000_000))).decode()
+    tracemalloc.start()
+    try:
+        with pytest.raises(TargetError, match="the mask is damaged"):
+            observation_from_json(content | {"mask": f"u1:{bomb}"})
+        assert tracemalloc.get_traced_memory()[1] < 10_000_000
+    finally:
+        tracemalloc.stop()
