@@ -4,7 +4,7 @@ import io
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from PIL import Image
@@ -37,13 +37,17 @@ def test_a_sheet_has_no_holes(corners, shape):
     """Every pixel well inside a convex quadrilateral is covered, whatever its shear."""
     base = np.array([[[30.0, 30.0], [30.0, 120.0]], [[120.0, 30.0], [120.0, 120.0]]])
     corners = base + corners
+    around = corners[[0, 0, 1, 1], [0, 1, 1, 0]]
+    sides = np.roll(around, -1, axis=0) - around
+    x, y = sides.T
+    # Of a quadrilateral that is not convex, the half planes of its sides are not the inside.
+    assume(np.ptp(np.sign(x * np.roll(y, -1) - y * np.roll(x, -1))) == 0)
     u, v = (np.linspace(0, 1, n) for n in shape)
     weights = np.einsum("iu,jv->ijuv", np.stack([1 - u, u]), np.stack([1 - v, v]))
     xy = np.einsum("ijuv,ijc->uvc", weights, corners)
     canvas = Canvas((150, 150))
     canvas.sheet(xy, np.zeros(shape), np.broadcast_to(RED, (*shape, 3)).copy())
     x, y = np.meshgrid(np.arange(150) + 0.5, np.arange(150) + 0.5)
-    around = corners[[0, 0, 1, 1], [0, 1, 1, 0]]
     inside = np.ones((150, 150), bool)
     outside = np.zeros((150, 150), bool)
     turn = np.sign(
