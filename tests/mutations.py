@@ -3,15 +3,27 @@
 import copy
 import json
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 HOSTILE = (
     None, True, False, 0, -1, 1.5, 1e300, -1e300, 10**20, 10**400, "", "inf", "nan", "-inf", "1",
     "</script><script>alert(1)</script>", "a" * 5000, "\ud800", "../../x", [], {}, [[]], [1, 2, 3],
     {"a": 1},
 )  # fmt: skip
+
+
+CASES = Path(__file__).parents[1] / "../shared/cases/damaged"
+
+
+def each_case(pattern: str) -> pytest.MarkDecorator:
+    """Runs a test for the `path` of every file that was seen to break; skips it without them."""
+    skip = pytest.mark.skip(reason="the cases are not in the project")
+    paths = sorted(CASES.glob(pattern)) or [pytest.param(CASES / "none", marks=skip)]
+    return pytest.mark.parametrize("path", paths, ids=[getattr(p, "stem", "none") for p in paths])
 
 
 def damaged(content: bytes, seed: int) -> bytes:

@@ -12,7 +12,6 @@ from petalfit.residuals.edge import edge_pull as edge_pull
 from petalfit.residuals.edge import edge_residual as edge_residual
 from petalfit.residuals.edge import edge_score as edge_score
 from petalfit.residuals.emptiness import Emptiness as Emptiness
-from petalfit.residuals.foot_point import expanded as expanded
 from petalfit.residuals.foot_point import half_squared_distance as half_squared_distance
 from petalfit.residuals.foot_point import least_places as least_places
 from petalfit.residuals.foot_point import limits as limits

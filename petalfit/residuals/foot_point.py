@@ -140,17 +140,12 @@ def _newton(
 
     @jax.vmap
     def expand(uv: Array, x: Array) -> tuple[Array, Array, Array]:
-        return expanded(lambda uv: half_squared_distance(surface, uv, x), uv)
+        slope = jax.value_and_grad(lambda uv: half_squared_distance(surface, uv, x))
+        along = jax.vmap(lambda direction: jax.jvp(slope, (uv,), (direction,)), out_axes=(None, 0))
+        (value, gradient), (_, hessian) = along(jnp.eye(2, dtype=uv.dtype))
+        return value, gradient, hessian
 
     return least_places(lambda uv: expand(uv, points), uv, iterations, *limits(surface))
-
-
-def expanded(cost: Callable[[Array], Array], uv: Float[Array, "2"]) -> tuple[Array, Array, Array]:
-    """The value, the gradient and the Hessian of the cost of one place."""
-    slope = jax.value_and_grad(cost)
-    along = jax.vmap(lambda direction: jax.jvp(slope, (uv,), (direction,)), out_axes=(None, 0))
-    (value, gradient), (_, hessian) = along(jnp.eye(2, dtype=uv.dtype))
-    return value, gradient, hessian
 
 
 def least_places(

@@ -28,9 +28,8 @@ from petalfit.batch.table import as_table
 from petalfit.cli import main
 from petalfit.schema import SchemaError
 from tests.fitted import known_pose
-from tests.mutations import damaged
+from tests.mutations import damaged, each_case
 
-CASES = Path(__file__).parents[2] / "../shared/cases/damaged"
 OPTIONS = {"model": "PeonyPetal", "pose": "known", "loss": "linear", "noise": None, "seed": 0,
            "free": None}  # fmt: skip
 
@@ -104,8 +103,7 @@ def test_many_damaged_records_are_refused_or_rows(record, tmp_path):
         attempt(damaged(record, seed), tmp_path)
 
 
-@pytest.mark.skipif(not CASES.is_dir(), reason="the cases are not there")
-@pytest.mark.parametrize("path", sorted(CASES.glob("record*")), ids=lambda path: path.stem)
+@each_case("record*")
 def test_records_that_were_seen_to_break(path, tmp_path):
     attempt(path.read_bytes(), tmp_path)
 
@@ -353,8 +351,7 @@ def test_many_damaged_manifests_are_refused_or_followed(tmp_path):
         follow(damaged(MANIFEST, seed), tmp_path)
 
 
-@pytest.mark.skipif(not CASES.is_dir(), reason="the cases are not there")
-@pytest.mark.parametrize("path", sorted(CASES.glob("manifest*")), ids=lambda path: path.stem)
+@each_case("manifest*")
 def test_manifests_that_were_seen_to_break(path, tmp_path):
     follow(path.read_bytes(), tmp_path)
 

@@ -5,9 +5,7 @@ from pathlib import Path
 import pytest
 
 from petalfit.flowers import FlowerError, lily, load_flower, save_flower
-from tests.mutations import damaged
-
-CASES = Path(__file__).parents[2] / "../shared/cases/damaged"
+from tests.mutations import damaged, each_case
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +39,6 @@ def test_many_damaged_flowers_are_refused_or_usable(flower, tmp_path):
         attempt(damaged(flower, seed), tmp_path)
 
 
-@pytest.mark.skipif(not CASES.is_dir(), reason="the cases are not there")
-@pytest.mark.parametrize("path", sorted(CASES.glob("flower*")), ids=lambda path: path.stem)
+@each_case("flower*")
 def test_flowers_that_were_seen_to_break(path, tmp_path):
     attempt(path.read_bytes(), tmp_path)

@@ -7,9 +7,7 @@ import pytest
 from PIL import Image
 
 import petalfit as pf
-from tests.mutations import damaged
-
-CASES = Path(__file__).parents[2] / "../shared/cases/damaged"
+from tests.mutations import damaged, each_case
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +48,6 @@ def test_many_damaged_textures_are_refused_or_usable(images, tmp_path):
         attempt(tmp_path / name)
 
 
-@pytest.mark.skipif(not CASES.is_dir(), reason="the cases are not there")
-@pytest.mark.parametrize("path", sorted(CASES.glob("texture*")), ids=lambda path: path.stem)
+@each_case("texture*")
 def test_textures_that_were_seen_to_break(path):
     attempt(path)

@@ -20,9 +20,8 @@ from petalfit.results.record import FitRecord
 from petalfit.studio import words
 from petalfit.surfaces import Pose
 from tests.fitted import known_pose, posed
-from tests.mutations import damaged
+from tests.mutations import damaged, each_case
 
-CASES = Path(__file__).parents[2] / "../shared/cases/damaged"
 MARKUP = '</script><img src="x" onerror="alert(1)">'
 
 
@@ -88,8 +87,7 @@ def test_many_damaged_fits_are_refused_or_usable(tmp_path):
         attempt(damaged(files(tmp_path)[seed % 2], seed), tmp_path)
 
 
-@pytest.mark.skipif(not CASES.is_dir(), reason="the cases are not there")
-@pytest.mark.parametrize("path", sorted(CASES.glob("fit*.json")), ids=lambda path: path.stem)
+@each_case("fit*.json")
 def test_fits_that_were_seen_to_break(path, tmp_path):
     # They were written in an older format, whose version would be all that is refused.
     attempt(re.sub(rb'"version": 3', b'"version": 5', path.read_bytes(), count=1), tmp_path)

@@ -1,10 +1,6 @@
 """The studio as somebody uses it who looks at it in a browser."""
 
 import re
-import signal
-import socket
-import subprocess
-import sys
 import time
 import zipfile
 from pathlib import Path
@@ -18,27 +14,6 @@ import petalfit as pf
 from tests.browser import A_WHILE, Watched
 
 PETAL = pf.PeonyPetal(a_x=14.0, b_y=22.0, c=0.6, dx=0.4, dy=3.0)
-
-
-@pytest.fixture(scope="module")
-def url():
-    """A running studio, which ends when it is asked to."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    command = [sys.executable, "-m", "petalfit", "studio", "--no-browser", "--port", str(port)]
-    # What a shell starts in the background ignores Ctrl-C, and so would what it starts.
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    signal.signal(signal.SIGINT, before)
-    assert process.stdout is not None
-    address = process.stdout.readline().split()[0]
-    assert address == f"http://127.0.0.1:{port}"
-    yield address
-    process.send_signal(signal.SIGINT)
-    _, said = process.communicate()
-    assert process.returncode == 0
-    assert "Traceback" not in said, said
 
 
 @pytest.fixture

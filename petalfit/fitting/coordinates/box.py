@@ -10,7 +10,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from petalfit.components import parameters
-from petalfit.fitting.coordinates.coordinates import Model, Numbers, in_doubles
+from petalfit.fitting.coordinates.coordinates import (
+    Model,
+    Numbers,
+    gathered,
+    in_doubles,
+    replaced,
+)
 from petalfit.surfaces import value_at
 
 _WIDE = (
@@ -67,8 +73,7 @@ class Box(eqx.Module, Generic[Model]):
         """The model at the coordinates z."""
         own = z * self.spread
         values = jnp.where(self.logs, jnp.exp(jnp.where(self.logs, own, 0.0)), own)
-        where = lambda model: [value_at(model, name) for name in self.free]  # noqa: E731
-        return eqx.tree_at(where, self.template, [values[i] for i in range(len(self.free))])
+        return replaced(self.template, self.free, values)
 
     def slopes(self, z: Float[Numbers, " p"]) -> Float[Array, " p"]:
         """Derivatives of the parameters by z."""
@@ -77,7 +82,7 @@ class Box(eqx.Module, Generic[Model]):
 
     def gather(self, tree: eqx.Module) -> Array:
         """Stacks the leaves of the free parameters, of a pytree like the model, on the last axis."""
-        return jnp.stack([value_at(tree, name) for name in self.free], axis=-1)
+        return gathered(tree, self.free)
 
 
 def _measured(

@@ -83,9 +83,7 @@ class Coordinates(eqx.Module, Generic[Model]):
 
     def model(self, t: Float[Numbers, " p"]) -> Model:
         """The model at the coordinates t."""
-        values = self.values(t)
-        where = lambda model: [value_at(model, name) for name in self.free]  # noqa: E731
-        return eqx.tree_at(where, self.template, [values[i] for i in range(len(self.free))])
+        return replaced(self.template, self.free, self.values(t))
 
     def spread(self, count: int) -> Float[np.ndarray, "m p"]:
         """Coordinates spread evenly over the typical ranges; held parameters stay at the template's."""
@@ -96,7 +94,18 @@ class Coordinates(eqx.Module, Generic[Model]):
 
     def gather(self, tree: eqx.Module) -> Array:
         """Stacks the leaves of the free parameters, of a pytree like the model, on the last axis."""
-        return jnp.stack([value_at(tree, name) for name in self.free], axis=-1)
+        return gathered(tree, self.free)
+
+
+def replaced(model: Model, names: tuple[str, ...], values: Float[Numbers, " p"]) -> Model:
+    """The model with an array of new values for some of its parameters."""
+    where = lambda model: [value_at(model, name) for name in names]  # noqa: E731
+    return eqx.tree_at(where, model, [values[i] for i in range(len(names))])
+
+
+def gathered(tree: eqx.Module, names: tuple[str, ...]) -> Array:
+    """Stacks the leaves of some parameters, of a pytree like the model, on the last axis."""
+    return jnp.stack([value_at(tree, name) for name in names], axis=-1)
 
 
 def evenly_spread(count: int, dimension: int) -> Float[np.ndarray, "n d"]:

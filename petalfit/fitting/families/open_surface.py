@@ -1,4 +1,4 @@
-"""Families of open surfaces in any pose, fitted by a safeguarded descent from a few starts."""
+"""Families of open surfaces in any pose, brought near a cloud from a few starts and settled there."""
 
 from __future__ import annotations
 

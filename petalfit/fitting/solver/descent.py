@@ -123,7 +123,6 @@ class Descent:
                 since, level = number, best.chi2
             if number - since > _PATIENCE:
                 # Only jitter of foot points is left: the model cannot quite have the shape of the cloud.
-                moved = min(moved, tolerance)
                 break
             there = self._step(coordinates, here, held)
             gain = here.chi2 - there.chi2
