@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import contextvars
+import os
 import threading
 import time
-from collections.abc import Callable
-from functools import cached_property
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache, cached_property
 from typing import Any, Generic, TypeVar
 
 import jax
 
-from petalfit.compilation.stopwatch import moved
-from petalfit.compilation.store import current_store, options
+from petalfit.compilation.stopwatch import moved, stage, unwatched
+from petalfit.compilation.store import current_store, is_double, options
 
 R = TypeVar("R")
 
@@ -54,3 +57,43 @@ class Program(Generic[R]):
                 moved(time.perf_counter() - began, "compiling")
             return result
         return store.call(self._function, args)
+
+    def map(self, calls: Sequence[tuple]) -> list[R]:
+        """The results of several calls, computed side by side; arguments differ in their values alone."""
+        double = is_double()
+
+        def call(args: tuple) -> R:
+            # Settings of jax belong to a thread.
+            with jax.enable_x64(double):
+                return jax.block_until_ready(self(*args))
+
+        # The first call compiles the program, or loads it, and the others find it.
+        first = call(calls[0])
+        rest = [_workers().submit(contextvars.copy_context().run, call, args) for args in calls[1:]]
+        return [first, *(future.result() for future in rest)]
+
+
+def prepared(function: Callable[[], object]) -> Callable[[], None]:
+    """Runs a function beside what follows, so that the programs it calls are compiled by then.
+
+    Returns:
+        A function that waits until they are, and raises what went wrong.
+    """
+    double = is_double()
+
+    def run() -> None:
+        with unwatched(), jax.enable_x64(double):
+            function()
+
+    future = _workers().submit(contextvars.copy_context().run, run)
+
+    def wait() -> None:
+        with stage("compiling"):
+            future.result()
+
+    return wait
+
+
+@cache
+def _workers() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(os.cpu_count() or 1, "program")

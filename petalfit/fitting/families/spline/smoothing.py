@@ -14,13 +14,13 @@ from petalfit.components import SplinePetal
 from petalfit.components.spline_petal import SEGMENTS, basis
 from petalfit.fitting.likelihood import programs
 from petalfit.fitting.likelihood.cloud import ObservedCloud, pad
-from petalfit.fitting.likelihood.emptiness import spacing
 from petalfit.fitting.likelihood.foot_points import (
     distances_beside,
     guess_foot_points,
 )
 from petalfit.fitting.likelihood.mixture import Mixture
 from petalfit.fitting.likelihood.quadrature import areas_around
+from petalfit.fitting.likelihood.scales import spacing
 from petalfit.fitting.outliers.loss import AbstractBackground
 from petalfit.fitting.outliers.scan import Scan
 from petalfit.fitting.solver.observer import report, show
