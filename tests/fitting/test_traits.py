@@ -72,10 +72,53 @@ def test_they_are_in_the_file(known, tmp_path):
     assert pf.FitResult.load(tmp_path / "fit.json").traits == known.traits
 
 
-def test_a_spline_has_values_without_errors():
-    found = pf.fit_petal(PETAL.sample(1500, seed=1), model=pf.SplinePetal)
-    assert found.traits["area"].value == pytest.approx(found.mesh((129, 129)).area, rel=1e-3)
-    assert np.isinf(found.traits["area"].stderr)
+@pytest.fixture(scope="module")
+def spline() -> pf.FitResult:
+    return pf.fit_petal(PETAL.sample(1500, seed=1, noise=0.03), model=pf.SplinePetal)
+
+
+def test_a_spline_has_an_error_of_its_area_alone(spline, tmp_path):
+    assert spline.traits["area"].value == pytest.approx(spline.mesh((129, 129)).area, rel=1e-3)
+    known = {name for name, trait in spline.traits.items() if np.isfinite(trait.stderr)}
+    assert known == {"area"}
+    assert 0 < spline.traits["area"].stderr < 0.05 * spline.traits["area"].value
+    spline.save(tmp_path / "fit.json")
+    assert pf.FitResult.load(tmp_path / "fit.json").traits == spline.traits
+
+
+def dish() -> pf.SplinePetal:
+    offsets, x = np.zeros((10, 10, 3)), np.linspace(-1, 1, 10)
+    offsets[..., 2] = 1.5 * x**2 + 0.8 * x[:, None] ** 2
+    return pf.SplinePetal(a_x=6.0, b_y=10.0, offsets=offsets)
+
+
+def test_areas_of_splines_deviate_as_much_as_their_errors_say():
+    """Without the gap between points and margin, every one of them would be too small."""
+    area = dish().mesh((257, 257)).area
+    found = [
+        pf.fit_petal(dish().sample(1000, seed=s, noise=0.01), model=pf.SplinePetal)
+        for s in range(8)
+    ]
+    traits = [fit.traits["area"] for fit in found]
+    z = np.array([(trait.value - area) / trait.stderr for trait in traits])
+    # The mean square of eight normal deviates lies outside of these limits once in 500 times.
+    assert 0.11 < np.mean(z**2) < 3.1
+    assert abs(np.mean(z)) < 1.1
+    assert all(trait.stderr < 0.02 * area for trait in traits)
+
+
+def test_a_hole_does_not_make_a_spline_bulge():
+    points = dish().sample(3000, seed=0, noise=0.01).points
+    away = np.hypot(points[:, 0] / 3, (points[:, 1] - 5) / 5)
+    found = pf.fit_petal(points[away > 0.6], model=pf.SplinePetal).traits["area"]
+    assert found.value == pytest.approx(dish().mesh((257, 257)).area, rel=0.01)
+
+
+def test_vertices_on_the_margin_are_no_reason_to_move_it():
+    u, v = np.meshgrid(np.linspace(-0.5, 0.5, 25), np.linspace(0, 1, 41), indexing="ij")
+    grid = np.asarray(dish()(u.ravel(), v.ravel()), float)
+    found = pf.fit_petal(grid, model=pf.SplinePetal).traits["area"]
+    assert found.value == pytest.approx(dish().mesh((257, 257)).area, rel=0.01)
 
 
 def test_what_is_no_sheet_has_none():
