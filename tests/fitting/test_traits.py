@@ -107,6 +107,28 @@ def test_areas_of_splines_deviate_as_much_as_their_errors_say():
     assert all(trait.stderr < 0.02 * area for trait in traits)
 
 
+def uneven(seed: int) -> pf.SplinePetal:
+    """A sheet with an irregular margin and relief."""
+    i, j = np.meshgrid(np.linspace(-1, 1, 10), np.linspace(0, 1, 10), indexing="ij")
+    rng = np.random.default_rng(seed)
+    offsets = 0.36 * rng.standard_normal((10, 10, 3))
+    offsets[..., 2] += 0.8 * i**2 + 1.5 * j**2 * rng.uniform(-1, 1)
+    offsets[..., 0] -= 6.0 * i * (j - 0.5) ** 2
+    offsets[..., 1] -= 4.0 * i**2 * (j - 0.4)
+    return pf.SplinePetal(a_x=6.0, b_y=10.0, offsets=offsets)
+
+
+@pytest.mark.slow
+def test_intervals_of_areas_of_splines_hold_them():
+    held = []
+    for seed in range(100):
+        sheet = uneven(seed // 10)
+        points = sheet.sample(2000, seed=seed, noise=0.012).points
+        trait = pf.fit_petal(points, model=pf.SplinePetal, pose="similarity").traits["area"]
+        held.append(abs(trait.value - sheet.mesh((257, 257)).area) < 1.96 * trait.stderr)
+    assert np.mean(held) >= 0.88
+
+
 def test_a_hole_does_not_make_a_spline_bulge():
     points = dish().sample(3000, seed=0, noise=0.01).points
     away = np.hypot(points[:, 0] / 3, (points[:, 1] - 5) / 5)
