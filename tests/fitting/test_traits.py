@@ -10,6 +10,7 @@ import trimesh
 from jaxtyping import Array
 
 import petalfit as pf
+from petalfit.fitting.families.spline.margin import gap
 from petalfit.surfaces import Scalar, number
 
 PETAL = pf.PeonyPetal()
@@ -136,11 +137,15 @@ def test_a_hole_does_not_make_a_spline_bulge():
     assert found.value == pytest.approx(dish().mesh((257, 257)).area, rel=0.01)
 
 
-def test_vertices_on_the_margin_are_no_reason_to_move_it():
-    u, v = np.meshgrid(np.linspace(-0.5, 0.5, 25), np.linspace(0, 1, 41), indexing="ij")
-    grid = np.asarray(dish()(u.ravel(), v.ravel()), float)
-    found = pf.fit_petal(grid, model=pf.SplinePetal).traits["area"]
-    assert found.value == pytest.approx(dish().mesh((257, 257)).area, rel=0.01)
+def test_the_gap_is_that_of_a_known_margin_and_none_where_points_lie_on_it():
+    # 20 points, each of which covers 0.01, hold edges of length 10.
+    inside = -np.random.default_rng(0).uniform(0.0, 5.0, 5000)
+    beyond = np.concatenate([np.linspace(0.001, 0.04, 20), inside])
+    outside, holding = gap(beyond, noise=1e-3, spacing=0.1, perimeter=10.0)
+    assert holding == 20
+    assert outside == pytest.approx(0.02, abs=1e-3)
+    on_the_margin = np.concatenate([np.full(100, 1e-6), np.full(100, -1e-6), inside])
+    assert gap(on_the_margin, noise=1e-3, spacing=0.1, perimeter=10.0)[0] == 0.0
 
 
 def test_what_is_no_sheet_has_none():
