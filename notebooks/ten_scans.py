@@ -170,6 +170,6 @@ assert holding(*rows["area of splines"][0], TRUE["area"]) >= 8
 
 # %% [markdown]
 # Areas are right, and those of splines have the smaller errors. Some lengths are not: the midrib ends in
-# the notch, of which the blade fills a part, so that its midrib is too long in every scan. An error says how far a
-# number may be off if the petal is scanned again. A feature that no blade can have is beyond it, and is a
-# reason to look at the picture.
+# the notch, of which the blade fills a part, so that its midrib is too long in every scan. An error says
+# how far a number may be off if the petal is scanned again. A feature that no blade can have is beyond
+# it, and is a reason to look at the picture.
