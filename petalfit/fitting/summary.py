@@ -167,6 +167,7 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
         steps=best.rounds,
         starts=starts,
         posterior=posterior,
+        trait_errors=best.trait_errors if finite else {},
         stderr_noise=standard_errors(names, by_noise),
         discrepancy=discrepancy,
         in_image=in_image,

@@ -17,6 +17,7 @@ from petalfit.results.discrepancy import Discrepancy
 from petalfit.results.estimate import Start
 from petalfit.results.profile import Profile
 from petalfit.results.status import Status
+from petalfit.results.trait import TRAITS
 from petalfit.results.warning import WarningKind
 from petalfit.schema import Count, Finite, NotNegative, Positive, SchemaError
 from petalfit.surfaces import AbstractSurface, with_value
@@ -112,6 +113,7 @@ class FitFile(msgspec.Struct, kw_only=True):
     stderr_noise: dict[str, float] = {}
     discrepancy: Discrepancy | None = None
     posterior: PosteriorOfFile | None = None
+    trait_errors: dict[str, NotNegative] = {}
     in_image: bool = False
     made_by: str = ""
     command: str = ""
@@ -231,6 +233,7 @@ def _laws(file: FitFile, model: AbstractSurface) -> Iterator[tuple[bool, str]]:
             set(own) <= set(parameters(model)) | set(Posed.similarity),
             ("the posterior names unknown parameters"),
         )
+    yield set(file.trait_errors) <= TRAITS, "trait_errors names unknown traits"
     yield set(file.pose_stderr) <= set(Posed.similarity), "pose_stderr names no parts of a pose"
     for start in file.starts:
         yield names <= set(start.values), "a start lacks a value"

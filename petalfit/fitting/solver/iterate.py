@@ -39,6 +39,7 @@ class Iterate(Generic[Model]):
         residuals: The residuals of every observation.
         mixture: The probability of each point to belong to the surface; None without outliers.
         freedom: Effective number of parameters, if that is not the number of free parameters; else None.
+        trait_errors: Standard errors of the traits, if they do not follow from named parameters.
     """
 
     model: Model
@@ -53,6 +54,7 @@ class Iterate(Generic[Model]):
     residuals: tuple[Residuals, ...] = ()
     mixture: Mixture | None = None
     freedom: float | None = None
+    trait_errors: dict[str, float] = dataclasses.field(default_factory=dict)
 
     @property
     def is_finite(self) -> bool:
