@@ -20,6 +20,7 @@ from petalfit.residuals import AbstractTerm, Emptiness
 from petalfit.surfaces import AbstractSurface
 
 _SLACK = 1.5  # spacings of the points
+_FEWEST, _ANYWHERE = 8, 1e100  # points that have a spacing; a slack that excludes no place
 
 
 def spacing(tree: KDTree) -> float:
@@ -43,8 +44,10 @@ class ObservedEmptiness(AbstractObserved):
 
     @classmethod
     def of(cls, points: Float[np.ndarray, "n 3"]) -> ObservedEmptiness:
-        tree = KDTree(points)
-        return cls(tree, _SLACK * spacing(tree))
+        # A few points show no spacing: then any place may be empty.
+        few = len(points) < _FEWEST
+        tree = KDTree(np.zeros((1, 3)) if few else points)
+        return cls(tree, _ANYWHERE if few else _SLACK * spacing(tree))
 
     def match(self, model: AbstractSurface, term: AbstractTerm | None) -> Emptiness:
         return self.around(model)[0]

@@ -21,6 +21,8 @@ class BladeFamily(OpenSurfaceFamily):
     kind: ClassVar[type[AbstractSurface]] = BladePetal
     gauges: ClassVar[Mapping[str, tuple[str, ...]]] = {"similarity": ("length",)}
     is_petal: ClassVar[bool] = True
+    # Fewer do not show widths of strips, in which the search for a start begins.
+    fewest: ClassVar[int | None] = 64
     held_at_first: ClassVar[tuple[str, ...]] = (
         "tip_roll",
         "margin_curl",
