@@ -69,7 +69,7 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
     matrix, found = np.full((len(names), len(names)), np.inf), np.zeros(len(names), bool)
     by_noise, posterior, discrepancy = matrix, None, None
     if finite and names:
-        found = known(ends, names, declared)
+        found = known(ends, names, declared, family.hidden_from(request))
         added = None
         suspect = request.is_one_cloud and may_have_misfit(best, len(names))
         turned = request.is_one_cloud and request.pose != "known"
@@ -85,7 +85,9 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
             )
         matrix = covariance(at_end, names, declared, found, added)
         by_noise = covariance(at_end, names, declared, found)
-        posterior = posterior_of(at_end, names, declared, added)
+        # From an unknown side, one outline shows no lengths: a bent surface may have the same.
+        if not (request.pose != "known" and family.hidden_from(request)):
+            posterior = posterior_of(at_end, names, declared, added)
     inflation = 1.0 if discrepancy is None else discrepancy.inflation
     identifiable = dict(zip(names, map(bool, found), strict=True))
     bounds = verdict.at_bounds(values, names, declared)

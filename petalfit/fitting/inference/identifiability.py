@@ -77,10 +77,27 @@ def known_if_others_were(
 
 
 def known(
-    ends: Sequence[Iterate], names: Sequence[str], declared: Mapping[str, Parameter]
+    ends: Sequence[Iterate],
+    names: Sequence[str],
+    declared: Mapping[str, Parameter],
+    hidden: Sequence[str] = (),
 ) -> Bool[np.ndarray, " p"]:
-    """Whether each parameter is determined, also in view of rival ends."""
+    """Whether each parameter is determined, also in view of rival ends.
+
+    Args:
+        ends: The ends, the best first.
+        names: Names of the free parameters.
+        declared: Their declarations.
+        hidden: Names of parameters that the targets cannot show. If there are any, others that differ
+            between rival ends are not determined either.
+    """
     found = known_alone(ends[0], names, declared)
+    if hidden:
+        spread = typical_spread(names, declared)
+        likely = [ends[0], *_nearly_as_good(ends)]
+        values = np.array([[float(value_at(end.model, n)) for n in names] for end in likely])
+        found &= np.ptp(values, axis=0) < DETERMINED * spread
+        found &= ~np.isin(names, hidden)
     for name in [*_doubtful_waves(names, found, ends), *_doubtful_sizes(names, ends)]:
         found[names.index(name)] = False
     return found

@@ -23,6 +23,17 @@ class BladeFamily(OpenSurfaceFamily):
     is_petal: ClassVar[bool] = True
     # Fewer do not show widths of strips, in which the search for a start begins.
     fewest: ClassVar[int | None] = 64
+    depth: ClassVar[tuple[str, ...]] = (
+        "bend",
+        "bend_shift",
+        "tip_roll",
+        "twist",
+        "cup_base",
+        "cup_mid",
+        "cup_tip",
+        "margin_curl",
+        "keel",
+    )
     held_at_first: ClassVar[tuple[str, ...]] = (
         "tip_roll",
         "margin_curl",
