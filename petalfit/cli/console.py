@@ -166,10 +166,16 @@ def list_files(folder: Path, contents: dict[str, str]) -> None:
 
 
 def warn(result: "FitResult") -> None:
-    """Prints all warnings of a result, to the console for errors so that they are seen in any case."""
-    console = errors()
-    for warning in result.warnings:
-        console.print(Text(f"warning: {warning}", style="yellow"), soft_wrap=True)
+    """Prints the doubts that matter most, to the console for errors so that they are seen in any case."""
+    from petalfit.cli.results import REPORT
+    from petalfit.results import FEW
+
+    console, first, rest = errors(), result.doubts[:FEW], len(result.doubts[FEW:])
     if not result.converged:
         sentence = f"{result.outcome}; the files hold what it ended with"
         console.print(Text(f"petalfit: {sentence}", style="bold yellow"), soft_wrap=True)
+    for doubt in first:
+        console.print(Text(f"warning: {doubt}", style="yellow"), soft_wrap=True)
+    if rest:
+        are = "warning is" if rest == 1 else "warnings are"
+        console.print(Text(f"{rest} more {are} in {REPORT}", style="yellow"), soft_wrap=True)

@@ -5,6 +5,7 @@ from petalfit.results.discrepancy import Discrepancy as Discrepancy
 from petalfit.results.draws import Draws as Draws
 from petalfit.results.estimate import APART as APART
 from petalfit.results.estimate import CLEAR_LEAD as CLEAR_LEAD
+from petalfit.results.estimate import FEW as FEW
 from petalfit.results.estimate import Estimate as Estimate
 from petalfit.results.estimate import Start as Start
 from petalfit.results.estimate import quantile as quantile
@@ -20,4 +21,4 @@ from petalfit.results.trait import Trait as Trait
 from petalfit.results.trait import errors_of as errors_of
 from petalfit.results.warning import FitWarning as FitWarning
 from petalfit.results.warning import WarningKind as WarningKind
-from petalfit.results.warning import one_of_each as one_of_each
+from petalfit.results.warning import in_order as in_order

@@ -25,7 +25,7 @@ from petalfit.surfaces import AbstractSurface, with_value
 FORMAT = "petalfit.FitResult"
 VERSION = 5
 LARGEST = 2_000_000_000  # bytes
-_ROUNDING = 1e-6
+_ROUNDING = 1e-6  # a result at a bound may lie beyond it by rounding
 
 
 @dataclasses.dataclass(frozen=True)
@@ -163,7 +163,9 @@ def model_of(file: FitFile, kind: type[AbstractSurface]) -> AbstractSurface:
     for name, parameter in declared.items():
         value = file.values[name]
         low, high = parameter.bounds
-        if not low <= value <= high and file.status is not Status.NOT_FINITE:
+        rounding = _ROUNDING * (high - low)
+        inside = low - rounding <= value <= high + rounding
+        if not inside and file.status is not Status.NOT_FINITE:
             raise SchemaError(f"{name} is {value:g}, outside of its range ({low:g}, {high:g})")
         model = with_value(model, name, value)
     return model

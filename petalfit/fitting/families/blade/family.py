@@ -21,6 +21,19 @@ class BladeFamily(OpenSurfaceFamily):
     kind: ClassVar[type[AbstractSurface]] = BladePetal
     gauges: ClassVar[Mapping[str, tuple[str, ...]]] = {"similarity": ("length",)}
     is_petal: ClassVar[bool] = True
+    # Fewer do not show widths of strips, in which the search for a start begins.
+    fewest: ClassVar[int | None] = 64
+    depth: ClassVar[tuple[str, ...]] = (
+        "bend",
+        "bend_shift",
+        "tip_roll",
+        "twist",
+        "cup_base",
+        "cup_mid",
+        "cup_tip",
+        "margin_curl",
+        "keel",
+    )
 
     def starts(
         self,
