@@ -97,7 +97,8 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
     strained = not in_space and any(identifiable[n] for w in bounds for n in w.parameters)
     misfits = [verdict.misfit_of(part, strained, request.noise, in_space) for part in agreements]
     seen = _coverage(agreements, best.model) if finite else None
-    if seen is not None and request.is_one_cloud:
+    # Where a fit was stopped says nothing about the outline that it may have.
+    if seen is not None and request.is_one_cloud and best.moved <= verdict.SETTLED:
         pattern = verdict.systematic_rms(agreements[0], bare(best.model))
         misfits.append(verdict.misfit_of_outline(agreements[0], seen, pattern))
     if any(misfits):

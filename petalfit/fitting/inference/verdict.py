@@ -37,9 +37,9 @@ _GROSS = 6.0  # in units of the noise
 _EMPTY = 0.1  # part of the surface without data, above which there is a warning
 _ROUNDING = 1e-6  # smaller distances, relative to a target's size, are rounding errors
 _MOSTLY_OUTLIERS = 0.6  # part of the points that are outliers, above which nothing was fitted
-# A fit counts as converged if its parameters still move by at most _SETTLED standard errors, with a
+# A fit counts as converged if its parameters still move by at most SETTLED standard errors, with a
 # warning if it is more than _FLIPS: points that jump between two folds may keep a fit moving for ever.
-_SETTLED, _FLIPS = 0.5, 0.2
+SETTLED, _FLIPS = 0.5, 0.2
 
 
 def ending(best: Iterate, finite: bool, misfits: Sequence[str], outcome: str) -> tuple[Status, str]:
@@ -55,7 +55,7 @@ def ending(best: Iterate, finite: bool, misfits: Sequence[str], outcome: str) ->
         return Status.NOT_FINITE, "the solver met values that are not finite"
     if any(misfits):
         return Status.MISFIT, next(filter(None, misfits))
-    if best.moved <= _SETTLED:
+    if best.moved <= SETTLED:
         return Status.CONVERGED, outcome
     return Status.ROUND_LIMIT, (
         f"not converged after {best.rounds} rounds: parameters still move by "
@@ -165,7 +165,7 @@ def not_determined(identifiable: Mapping[str, bool], what: str = "target") -> li
 
 def flips(best: Iterate) -> list[FitWarning]:
     """A warning if the parameters of a fit that counts as converged still move a little."""
-    if not _FLIPS < best.moved <= _SETTLED:
+    if not _FLIPS < best.moved <= SETTLED:
         return []
     return [
         FitWarning(f"parameters still move by {best.moved:.2g} standard errors", WarningKind.FLIPS)
