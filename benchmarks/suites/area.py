@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import dijkstra
 import petalfit as pf
 from benchmarks.metric import Metric, Tell
 from benchmarks.peers import meshing
-from benchmarks.suites.real import shapes
+from benchmarks.suites.real import chosen
 from petalfit.results import quantile
 
 _POINTS = 2000
@@ -27,19 +27,10 @@ _LEVEL = 0.95
 
 
 def run(quick: bool, tell: Tell) -> Iterator[Metric]:
-    files = shapes()
+    files, count = chosen("area", quick)
+    yield count
     if not files:
-        yield Metric(
-            "area.shapes",
-            0,
-            "1",
-            "more",
-            note="none found: set PETALFIT_SHAPES to a folder of meshes",
-        )
         return
-    if quick:
-        files = files[:: max(1, len(files) // 3)][:3]
-    yield Metric("area.shapes", len(files), "1", "more")
     reach = quantile(_LEVEL)
     missing = meshing.available()
     errors: dict[str, list[float]] = {}

@@ -168,14 +168,13 @@ def list_files(folder: Path, contents: dict[str, str]) -> None:
 def warn(result: "FitResult") -> None:
     """Prints the doubts that matter most, to the console for errors so that they are seen in any case."""
     from petalfit.cli.results import REPORT
-    from petalfit.results import FEW
 
-    console, first, rest = errors(), result.doubts[:FEW], len(result.doubts[FEW:])
+    console, (first, rest) = errors(), result.doubts_in_two
     if not result.converged:
         sentence = f"{result.outcome}; the files hold what it ended with"
         console.print(Text(f"petalfit: {sentence}", style="bold yellow"), soft_wrap=True)
     for doubt in first:
         console.print(Text(f"warning: {doubt}", style="yellow"), soft_wrap=True)
     if rest:
-        are = "warning is" if rest == 1 else "warnings are"
-        console.print(Text(f"{rest} more {are} in {REPORT}", style="yellow"), soft_wrap=True)
+        are = "warning is" if len(rest) == 1 else "warnings are"
+        console.print(Text(f"{len(rest)} more {are} in {REPORT}", style="yellow"), soft_wrap=True)

@@ -6,12 +6,13 @@ import contextvars
 import os
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache, cached_property
 from typing import Any, Generic, TypeVar
 
 import jax
+import numpy as np
 
 from petalfit.compilation.stopwatch import moved, stage, unwatched
 from petalfit.compilation.store import current_store, is_double, options
@@ -43,6 +44,7 @@ class Program(Generic[R]):
 
     def __init__(self, function: Callable[..., R]) -> None:
         self._function = function
+        self._mapped: set[Hashable] = set()
 
     @cached_property
     def _jitted(self) -> Callable[..., R]:
@@ -67,14 +69,25 @@ class Program(Generic[R]):
             with jax.enable_x64(double):
                 return jax.block_until_ready(self(*args))
 
-        # The first call compiles the program, or loads it, and the others find it.
-        first = call(calls[0])
-        rest = [_workers().submit(contextvars.copy_context().run, call, args) for args in calls[1:]]
-        return [first, *(future.result() for future in rest)]
+        def beside(args: tuple) -> R:
+            with unwatched():
+                return call(args)
+
+        leaves, structure = jax.tree.flatten(calls[0])
+        form = current_store(), structure, tuple(map(np.shape, leaves)), double
+        # The first call of a form compiles its program, or loads it, and the others find it.
+        first = [] if form in self._mapped else [call(calls[0])]
+        self._mapped.add(form)
+        rest = [
+            _workers().submit(contextvars.copy_context().run, beside, args) for args in calls[1:]
+        ]
+        return [*(first or [call(calls[0])]), *(future.result() for future in rest)]
 
 
 def prepared(function: Callable[[], object]) -> Callable[[], None]:
     """Runs a function beside what follows, so that the programs it calls are compiled by then.
+
+    The function may use `Program.map` for single calls only: others would wait for its own worker.
 
     Returns:
         A function that waits until they are, and raises what went wrong.

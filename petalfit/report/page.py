@@ -24,7 +24,7 @@ from petalfit.report.tables import (
     traits_table,
 )
 from petalfit.report.viewer import fingerprint, script, viewer
-from petalfit.results import FEW, FitRecord
+from petalfit.results import FitRecord
 from petalfit.version import VERSION
 
 # Widths in pixels of the pictures; a pixel of the page has two of them.
@@ -92,8 +92,8 @@ def _status(result: FitRecord) -> tuple[str, str]:
     """The style and the words of the badge at the top, which states how the fit ended."""
     if not result.converged:
         return "bad", "not converged"
-    if result.doubts:
-        return "warn", f"converged, with {count(len(result.doubts), 'warning')}"
+    if doubts := result.doubts:
+        return "warn", f"converged, with {count(len(doubts), 'warning')}"
     return "good", "converged"
 
 
@@ -140,7 +140,7 @@ def _warnings(result: FitRecord) -> str:
     if result.converged and not result.warnings:
         return ""
     style = "" if result.converged else " bad"
-    first, rest = result.doubts[:FEW], result.doubts[FEW:]
+    first, rest = result.doubts_in_two
     if not result.converged:
         first.insert(0, f"{result.status}: {result.outcome}")
     more = f"<details><summary>{len(rest)} more</summary>{_listing(rest)}</details>" if rest else ""

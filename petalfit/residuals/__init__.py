@@ -6,7 +6,6 @@ from petalfit.residuals.contact import pull_back as pull_back
 from petalfit.residuals.contour_distance import ContourDistance as ContourDistance
 from petalfit.residuals.curvature_bias import perturbation as perturbation
 from petalfit.residuals.edge import EDGE_NODES as EDGE_NODES
-from petalfit.residuals.edge import blurred_width as blurred_width
 from petalfit.residuals.edge import edge_nodes as edge_nodes
 from petalfit.residuals.edge import edge_pull as edge_pull
 from petalfit.residuals.edge import edge_residual as edge_residual

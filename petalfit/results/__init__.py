@@ -5,7 +5,6 @@ from petalfit.results.discrepancy import Discrepancy as Discrepancy
 from petalfit.results.draws import Draws as Draws
 from petalfit.results.estimate import APART as APART
 from petalfit.results.estimate import CLEAR_LEAD as CLEAR_LEAD
-from petalfit.results.estimate import FEW as FEW
 from petalfit.results.estimate import Estimate as Estimate
 from petalfit.results.estimate import Start as Start
 from petalfit.results.estimate import quantile as quantile

@@ -18,7 +18,7 @@ from petalfit.results.warning import FitWarning, in_few_words
 # frequencies that ribs could have leads by 2 log 200.
 CLEAR_LEAD = 20.0
 # The number of doubts that are shown at once; the others wait until somebody asks.
-FEW = 3
+_FEW = 3
 # Two ends are different if a parameter differs by at least this many standard errors.
 APART = 3.0
 
@@ -128,10 +128,16 @@ class Estimate:
         return in_few_words(self.warnings, self.names)
 
     @property
+    def doubts_in_two(self) -> tuple[list[str], list[str]]:
+        """The doubts that are shown at once, and the others."""
+        doubts = self.doubts
+        return doubts[:_FEW], doubts[_FEW:]
+
+    @property
     def message(self) -> str:
         """The reason, the notes and the first of the doubts on one line."""
-        first, rest = self.doubts[:FEW], len(self.doubts[FEW:])
-        more = [f"{rest} more warning{'s' * (rest > 1)}"] if rest else []
+        first, rest = self.doubts_in_two
+        more = [f"{len(rest)} more warning{'s' * (len(rest) > 1)}"] if rest else []
         return "; ".join([self.outcome, *first, *more])
 
     @property

@@ -11,7 +11,6 @@ import numpy as np
 from petalfit.fitting import FitResult
 from petalfit.report.colour import NEGATIVE, POSITIVE, ZERO, css
 from petalfit.report.rounding import measured, plain
-from petalfit.results import FEW
 
 _SOFT = "opacity:0.72;font-size:0.86em"
 _CELL = "padding:0.1em 0.35em;vertical-align:top"
@@ -45,7 +44,7 @@ def verdict(result: FitResult) -> str:
     if result.ranking:
         ranks = ", ".join(f"{html.escape(x.model)} {x.delta_bic:+.0f}" for x in result.ranking[1:])
         lines.append(f'<span style="{_SOFT}">ΔBIC of the others: {ranks}</span>')
-    first, rest = result.doubts[:FEW], result.doubts[FEW:]
+    first, rest = result.doubts_in_two
     if not result.converged:
         first.insert(0, f"{result.status.meaning} {result.outcome}")
     lines += map(_doubt, first)

@@ -34,7 +34,7 @@ _SOME = 1536
 _ROUGHLY = BLOCK
 _FOLLOWED = 4
 _ROUGH, _NEAR = 40, 1.0  # rough steps at most, and standard errors to their end
-_ROUNDS = 100  # evaluations of that likelihood at most
+_ROUNDS = 100  # evaluations of the likelihood at most
 # A start whose cost after rough steps is worse than the best by more than this, and by more than it may
 # still gain, is not followed.
 _HOPELESS = 3.0
@@ -251,11 +251,9 @@ def _settled(near: Settled, scan: Scan, heat: float, least: float) -> Iterate:
         sheet = Sheet(points, weights * members)
         near = settle(near.with_cloud(sheet, hot(sheet.weights)), _AGAIN)
         beside = sheet.beside(near.model, near.stand.places)[:2]
-        found, number = (
-            scan.background.mixture(near.model, *beside, weights, scan.noise),
-            number + 1,
-        )
+        found = scan.background.mixture(near.model, *beside, weights, scan.noise)
         changed, members = float(np.mean(np.abs(found.members - members))), found.members
+        number += 1
     sheet = Sheet(points, weights * members)
     near = settle(near.with_cloud(sheet, hot(sheet.weights)), _ROUNDS, least=least)
     end = dataclasses.replace(near.end(), mixture=found)

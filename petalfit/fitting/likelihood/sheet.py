@@ -112,9 +112,9 @@ class Sheet:
         calls = [(surface, points) for points in self._blocks]
         return np.concatenate([np.asarray(uv) for uv in programs.nearest.map(calls)])
 
-    def spread(self, surface: AbstractSurface) -> float:
-        """The root mean square distance of the points from the nodes of a surface."""
-        calls = zip(self._blocks, blocks(self.nearest(surface)), strict=True)
+    def spread(self, surface: AbstractSurface, places: Float[np.ndarray, "m 2"]) -> float:
+        """The root mean square distance of the points from places on a surface."""
+        calls = zip(self._blocks, blocks(places), strict=True)
         apart = programs.distances.map([(surface, *pair) for pair in calls])
         square = np.concatenate([np.asarray(part) for part in apart])[: len(self.points)] ** 2
         return float(np.sqrt(np.average(square, weights=self.weights) + 1e-300))
@@ -248,8 +248,7 @@ def _cost(
     cost = jnp.sum(weights * each) + total * (jnp.log(noise.sigma) + jnp.log(spans.area))
 
     moved = by_coordinates(box, own, places) / noise.sigma
-    low, high = (jnp.asarray(side, float) for side in zip(*model.domain, strict=True))
-    u, v = jnp.unstack((places - low) / (high - low), axis=1)
+    u, v = strips.share + 0.5
     widened = jnp.stack([between(slopes.across, v)[0], between(slopes.along, u)[0]]) / noise.tau
     stretched = jnp.sum(here.slope * strips.x + here.by_width * strips.half, axis=0)
     firmer = jnp.sum(here.slope**2, axis=0) * noise.rho

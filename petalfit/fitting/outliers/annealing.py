@@ -26,9 +26,8 @@ _UNLIKELY = 0.05  # weight of points that lie on no surface, while a model is st
 _WIDEST, _NARROWEST, _NARROWING = 6.0, 3.0, 0.6
 _AT_ONCE, _ROUNDS = 3, 36  # rounds between two mixtures, and all together
 _TOLERANCE = 0.02  # standard errors
-_EXACT = (
-    1e-12  # least scale of the kernel, relative to the extent: some points have no noise at all
-)
+# The least scale of the kernel, relative to the extent: some points have no noise at all.
+_EXACT = 1e-12
 _UNCHANGED = 0.02  # a smaller change of a probability is none
 
 

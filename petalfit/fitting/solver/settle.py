@@ -20,7 +20,7 @@ from petalfit.fitting.likelihood.sheet import (
     SheetCost,
 )
 from petalfit.fitting.solver.iterate import Iterate
-from petalfit.fitting.solver.observer import show
+from petalfit.fitting.solver.observer import is_looked_on, show
 from petalfit.residuals import Data, TangentDistance
 from petalfit.surfaces import AbstractSurface
 
@@ -118,16 +118,23 @@ class Settling:
         # A start on a bound could not leave it where its derivatives vanish.
         inside = 1e-3 * (box.high - box.low)
         own = np.clip(box.place(model), box.low + inside, box.high - inside)
-        sigma = self.sheet.spread(box.model(own))
-        return self.search(np.concatenate([own, [np.log(sigma), _BLURS[1]]]), None)
-
-    def search(self, z: Float[np.ndarray, " q"], places: Float[np.ndarray, "n 2"] | None) -> Stand:
-        """The cost at z, after a search for places that are likelier than the known ones, if any."""
+        model = box.model(own)
+        uv = self.sheet.nearest(model)
+        z = np.concatenate([own, [np.log(self.sheet.spread(model, uv)), _BLURS[1]]])
         z = np.clip(z, self.low, self.high)
+        return self._stand(z, self._evaluated(z, uv, SEARCH))
+
+    def stand_anywhere(self, z: Float[np.ndarray, " q"]) -> Stand:
+        """The cost at z, with places on the whole surface."""
+        return self._stand(z, self._anywhere(z))
+
+    def _anywhere(self, z: Float[np.ndarray, " q"]) -> SheetCost:
         uv = self.sheet.nearest(self.box.model(z[:-NUISANCES]))
-        found = self._evaluated(z, uv, SEARCH)
-        if places is None:
-            return self._stand(z, found)
+        return self._evaluated(z, uv, SEARCH)
+
+    def search(self, z: Float[np.ndarray, " q"], places: Float[np.ndarray, "n 2"]) -> Stand:
+        """The cost at z, after a search for places that are likelier than the known ones."""
+        found = self._anywhere(z)
         known = self._evaluated(z, places, STEPS)
         likelier = found.each < known.each
         if not np.any(likelier & (self.sheet.padded_weights > 0)):
@@ -205,7 +212,7 @@ class Settled:
     def with_cloud(self, sheet: Sheet, temperature: float) -> Settled:
         """The same place before another cloud, from which a descent can go on."""
         problem = dataclasses.replace(self.problem, sheet=sheet, temperature=temperature)
-        stand = problem.search(self.stand.z, None)
+        stand = problem.stand_anywhere(self.stand.z)
         return dataclasses.replace(self, problem=problem, stand=stand, moved=problem.left(stand))
 
     def end(self) -> Iterate:
@@ -276,10 +283,11 @@ def settle(
             share = gain / promised if promised > 10 * _JITTER else 1.0
             damping = max(damping * max(0.2, 1 - (2 * share - 1) ** 3), _LEAST)
             here, factor, moved = there, 2.0, problem.left(there)
-            end = Settled(problem, here, number, moved, damping, start.label)
-            # Places in the plane are good enough for a picture.
-            count = len(problem.sheet.points)
-            show(end.model, [_term(problem.sheet, here.places[:count], end.sigma)])
+            if is_looked_on():
+                end = Settled(problem, here, number, moved, damping, start.label)
+                # Places in the plane are good enough for a picture.
+                count = len(problem.sheet.points)
+                show(end.model, [_term(problem.sheet, here.places[:count], end.sigma)])
         else:
             damping, factor = damping * factor, min(2 * factor, 32.0)
             if damping > _MOST:

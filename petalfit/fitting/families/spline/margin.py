@@ -22,9 +22,8 @@ from petalfit.fitting.likelihood import programs
 from petalfit.surfaces import AbstractSurface
 
 _NODES = 33  # nodes on each side
-_STRIP = (
-    0.3  # width, in spacings of the points, of the strip along the edge in which points are counted
-)
+# Width, in spacings of the points, of the strip along the edge in which points are counted.
+_STRIP = 0.3
 # So many times as many points there as elsewhere were put on the margin, such as the vertices of a mesh.
 _CROWDED = 2.0
 

@@ -23,9 +23,8 @@ _SLIDE = 0.02
 _NEAR = 1.25  # spacings of the points, up to which the distances of two of them are compared
 _CELLS = 12  # per side, in which points are counted
 _THIN = 0.25  # of the expected number of points, below which a cell counts as empty
-_HIDDEN = (
-    8.0  # relief of the surface in a hole, which only its rim holds, relative to that elsewhere
-)
+# Relief of the surface in a hole, which only its rim holds, relative to that elsewhere.
+_HIDDEN = 8.0
 
 
 class Posterior(NamedTuple):
