@@ -32,7 +32,7 @@ from petalfit.surfaces import AbstractSurface, value_at
 # Numbers of points for the search for starts, and for rough steps.
 _SOME = 1536
 _ROUGHLY = BLOCK
-_FOLLOWED = 4
+_FOLLOWED = 2
 _ROUGH, _NEAR = 40, 1.0  # rough steps at most, and standard errors to their end
 _ROUNDS = 100  # evaluations of the likelihood at most
 # A start whose cost after rough steps is worse than the best by more than this, and by more than it may
