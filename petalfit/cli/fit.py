@@ -95,6 +95,14 @@ BaseOption = Annotated[
         "take for the tip. For blades with --pose rigid or similarity, whose ends may look alike.",
     ),
 ]
+EveryPoint = Annotated[
+    bool,
+    arg(
+        name="every-point",
+        help="Take every point of a large cloud in every step. It is slow, and changes the numbers by "
+        "less than their errors.",
+    ),
+]
 Profiles = Annotated[
     UseAppendAction[tuple[str, ...]],
     arg(
@@ -118,6 +126,7 @@ def fit(
     profile: Profiles = (),
     seed: Seed = 0,
     base: BaseOption = None,
+    every_point: EveryPoint = False,
     quiet: Quiet = False,
 ) -> int:
     """Recover the parameters of a petal from scans and silhouettes."""
@@ -159,6 +168,7 @@ def fit(
                 noise=noise,
                 seed=seed,
                 base=place,
+                every_point=every_point,
                 throw=False,
                 progress=lambda text: show(text + again),
             )

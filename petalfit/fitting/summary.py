@@ -184,6 +184,7 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
         starts=starts,
         posterior=posterior,
         trait_errors=best.trait_errors if finite else {},
+        points_used=best.points_used,
         stderr_noise=standard_errors(names, by_noise),
         discrepancy=discrepancy,
         in_image=in_image,

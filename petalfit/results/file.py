@@ -114,6 +114,7 @@ class FitFile(msgspec.Struct, kw_only=True):
     discrepancy: Discrepancy | None = None
     posterior: PosteriorOfFile | None = None
     trait_errors: dict[str, NotNegative] = {}
+    points_used: dict[str, Count] = {}
     in_image: bool = False
     made_by: str = ""
     command: str = ""

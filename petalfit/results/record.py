@@ -66,6 +66,8 @@ class FitRecord(Estimate):
         posterior: What is known of all free parameters together; None if they have no errors.
         trait_errors: Standard errors of the traits by name, if they follow from coefficients without a
             name, and not from `posterior`; else empty.
+        points_used: The number of points that each stage of the fit to a large cloud used; empty if all
+            stages used all points. Residuals, and what follows from them, are those of all points.
         in_image: Whether a mask without a camera was fitted. The values then include the place in the
             image: scale, in pixels a unit, and shift_x and shift_y, in pixels.
         made_by: The version of petalfit that made the result.
@@ -83,6 +85,7 @@ class FitRecord(Estimate):
     discrepancy: Discrepancy | None = None
     posterior: Posterior | None = None
     trait_errors: dict[str, float] = dataclasses.field(default_factory=dict)
+    points_used: dict[str, int] = dataclasses.field(default_factory=dict)
     in_image: bool = False
     made_by: str = f"petalfit {PETALFIT}"
     command: str = ""

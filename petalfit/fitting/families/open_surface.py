@@ -17,6 +17,7 @@ from petalfit.fitting.families.family import AbstractFamily
 from petalfit.fitting.families.polish import likelier
 from petalfit.fitting.inference.discrepancy import INDEPENDENT, discrepancy_of, temperature
 from petalfit.fitting.inference.linear_rows import may_have_misfit, rows_of
+from petalfit.fitting.likelihood.condensed import COARSE, ENOUGH, FINE, CondensedSheet, beside_many
 from petalfit.fitting.likelihood.sheet import Sheet
 from petalfit.fitting.outliers.scan import Scan
 from petalfit.fitting.request.checks import POSES
@@ -39,7 +40,11 @@ _ROUNDS = 100  # evaluations of the likelihood at most
 # still gain, is not followed.
 _HOPELESS = 3.0
 _CLEARINGS, _AGAIN = 3, 6  # searches for outliers, and steps before each of them
+_SIFTED = 8192  # points that outliers are searched for among
 _UNCHANGED = 0.002  # a smaller mean change of the probabilities is none
+# A large cloud is condensed at most so often, until the end moves by less than so many standard errors.
+_PASSES, _SAME = 3, 2.0
+_CLOSELY = 0.1  # standard errors to the end of a large cloud, whose steps cost little
 
 
 Start = TypeVar("Start", bound="CloudStart")
@@ -90,7 +95,7 @@ class OpenSurfaceFamily(AbstractFamily):
     """
 
     poses: ClassVar[tuple[str, ...]] = POSES
-    takes: ClassVar[frozenset[str]] = AbstractFamily.takes | {"base"}
+    takes: ClassVar[frozenset[str]] = AbstractFamily.takes | {"base", "every_point"}
 
     @abc.abstractmethod
     def starts(
@@ -100,7 +105,7 @@ class OpenSurfaceFamily(AbstractFamily):
         points: Float[np.ndarray, "n 3"],
         pose: str,
     ) -> Sequence[CloudStart]:
-        """Starts for a cloud, the likeliest first; the first two are followed.
+        """Starts for a cloud, the likeliest first. See `followed`.
 
         Args:
             template: A model with the values of the parameters that are not free.
@@ -109,6 +114,10 @@ class OpenSurfaceFamily(AbstractFamily):
             pose: "known": rotation and translation of a start are not used. "rigid": the model has the
                 unit of the cloud, and the start has scale 1. "similarity": all of them are used.
         """
+
+    def followed(self, starts: Sequence[CloudStart]) -> Sequence[CloudStart]:
+        """The starts from which the surface is settled, of all that were found."""
+        return starts[:_FOLLOWED]
 
     def labels(self, starts: Sequence[CloudStart]) -> list[str]:
         """The labels of the ends in a result, given their starts, with that of the best end first."""
@@ -152,31 +161,38 @@ class OpenSurfaceFamily(AbstractFamily):
             every = self.starts(request.template, free, sheets[:_SOME], request.pose)
             if request.base is not None:
                 every = [_with_base_near(every, frame.into(np.array([request.base]))[0])]
-            found = every[:_FOLLOWED]
+            found = self.followed(every)
             starts = [(start.label, start.posed(request.pose)) for start in found]
         foreseen()
+        used = {"starts": min(_SOME, len(sheets)), "rough steps": len(few.points)}
         near: list[Settled] = []
         for label, model in starts:
             report(f"rough steps from {label}")
             with stage("polishing"):
                 near.append(settle(begun(problem(model), model, label), _ROUGH, _NEAR))
-        near.sort(key=lambda end: end.chi2)
-        # A step of √2k standard errors gains about k.
-        best = near[0].stand.cost
-        near = [end for end in near if end.stand.cost - best < _HOPELESS + end.moved**2]
+        near = _promising(near)
         heat = _temperature(near[0], names)
+        large = len(scan.points) > ENOUGH and not request.every_point
+        if len(scan.points) > 2 * _SOME:
+            used["steps with some"] = min(_SOME, len(sheets))
+            report("polishing with some of the points")
+            with stage("polishing"):
+                near = _promising([_with_some(end, scan, heat) for end in near])
         ends: list[Iterate] = []
         for end in near:
             report(f"polishing from {end.label}")
             least = min((other.chi2 for other in ends), default=np.inf)
             with stage("polishing"):
-                ends.append(_settled(end, scan, heat, least))
+                ends.append(_settled(end, scan, heat, least, large))
         ends.sort(key=lambda end: end.chi2)
         if found:
             by_label = {start.label: start for start in found}
             labels = self.labels([by_label[end.label] for end in ends])
             ends = [dataclasses.replace(e, label=x) for e, x in zip(ends, labels, strict=True)]
         ends = [self._in_target(end, names, frame, order) for end in ends]
+        if large:
+            used = used | ends[0].points_used | {"residuals": len(scan.points)}
+            ends[0] = dataclasses.replace(ends[0], points_used=used)
         coordinates = Coordinates.of(ends[0].model, names)
         return [with_all_points(coordinates, ends[0], 0, request.cloud), *ends[1:]]
 
@@ -225,7 +241,22 @@ def _temperature(near: Settled, names: tuple[str, ...]) -> float:
     return temperature(rows, found[1], total) / total
 
 
-def _settled(near: Settled, scan: Scan, heat: float, least: float) -> Iterate:
+def _promising(near: list[Settled]) -> list[Settled]:
+    """The ends of descents on the same points that may still become the best, the best first."""
+    near = sorted(near, key=lambda end: end.chi2)
+    best = near[0].stand.cost
+    # A step of √2k standard errors gains about k.
+    return [end for end in near if end.stand.cost - best < _HOPELESS + end.moved**2]
+
+
+def _with_some(near: Settled, scan: Scan, heat: float) -> Settled:
+    """An end near the one that all points have, by some of those that seem to belong to the surface."""
+    some = np.flatnonzero(scan.likely)[:_SOME]
+    sheet = Sheet(scan.points[some], scan.weights[some])
+    return settle(near.with_cloud(sheet, _hot(heat, sheet)), _ROUNDS)
+
+
+def _settled(near: Settled, scan: Scan, heat: float, least: float, large: bool) -> Iterate:
     """The stationary point of the likelihood that is reached from beside the cloud.
 
     If points may be outliers, it is settled again after each search for them. It is not followed further
@@ -236,28 +267,51 @@ def _settled(near: Settled, scan: Scan, heat: float, least: float) -> Iterate:
         scan: The cloud.
         heat: The temperature per point.
         least: The χ² of another end.
+        large: Whether the cloud is condensed for the steps.
     """
     points, weights, found = scan.points, scan.weights, None
-    members, changed, number = scan.likely.astype(float), 1.0, 0
-
-    def hot(weights: Float[np.ndarray, " n"]) -> float:
-        return max(heat * float(np.sum(weights)), 1.0)
-
-    if len(points) > 2 * _SOME:
-        # Some of the points bring it within a few errors of the end that all of them have.
-        some = weights[:_SOME] * members[:_SOME]
-        near = settle(near.with_cloud(Sheet(points[:_SOME], some), hot(some)), _ROUNDS)
-    while scan.background is not None and changed > _UNCHANGED and number < _CLEARINGS:
-        sheet = Sheet(points, weights * members)
-        near = settle(near.with_cloud(sheet, hot(sheet.weights)), _AGAIN)
-        beside = sheet.beside(near.model, near.stand.places)[:2]
-        found = scan.background.mixture(near.model, *beside, weights, scan.noise)
-        changed, members = float(np.mean(np.abs(found.members - members))), found.members
-        number += 1
+    members = scan.likely.astype(float)
+    if scan.background is not None:
+        # Outliers are searched for among so many points; then all are judged by what was learned.
+        some = slice(_SIFTED if large else None)
+        kept, changed, number = members[some], 1.0, 0
+        while changed > _UNCHANGED and number < _CLEARINGS:
+            sheet = Sheet(points[some], weights[some] * kept)
+            near = settle(near.with_cloud(sheet, _hot(heat, sheet)), _AGAIN)
+            beside = sheet.beside(near.model, near.stand.places)[:2]
+            found = scan.background.mixture(near.model, *beside, weights[some], scan.noise)
+            changed, kept = float(np.mean(np.abs(found.members - kept))), found.members
+            number += 1
+        if len(kept) < len(points):
+            beside = beside_many(near.model, points)[:2]
+            found = scan.background.mixture(near.model, *beside, weights, scan.noise)
+            kept = found.members
+        members = kept
     sheet = Sheet(points, weights * members)
-    near = settle(near.with_cloud(sheet, hot(sheet.weights)), _ROUNDS, least=least)
+    if large:
+        near = _by_passes(near, sheet, _hot(heat, sheet), least)
+    else:
+        near = settle(near.with_cloud(sheet, _hot(heat, sheet)), _ROUNDS, least=least)
     end = dataclasses.replace(near.end(), mixture=found)
+    if large:
+        end = dataclasses.replace(end, points_used={"last steps": len(near.problem.sheet.points)})
     return end if found is None else likelier(end)
+
+
+def _by_passes(near: Settled, sheet: Sheet, temperature: float, least: float) -> Settled:
+    """The stationary point of a large cloud: it is condensed where the last descent ended."""
+    for cells in (COARSE, *[FINE] * _PASSES):
+        before = near
+        condensed = CondensedSheet.of(sheet, near.model, near.blur, cells)
+        near = settle(near.with_cloud(condensed, temperature), _ROUNDS, _CLOSELY, least)
+        if cells is FINE and near.away(before) < _SAME:
+            break
+    return near
+
+
+def _hot(heat: float, sheet: Sheet) -> float:
+    """The temperature of a sheet for one per point, at least 1."""
+    return max(heat * float(np.sum(sheet.weights)), 1.0)
 
 
 def turned_over(

@@ -18,7 +18,7 @@ _SPACINGS = 2.5
 # Points go on beyond the outline if one lies so near, in spacings, to a place so far beyond it.
 _BEYOND, _NEAR = 3.0, 1.25
 _FEWEST = 50  # points, below which nothing can be said of their spacing
-_MOST = 20_000  # points that the nearest one is searched among
+_MOST = 2000  # points that the nearest one is searched among: the verdict does not depend on their number
 
 
 class Coverage(NamedTuple):

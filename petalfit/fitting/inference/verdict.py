@@ -28,11 +28,14 @@ _STRAINED_MISFIT = 0.005
 _MISFIT_OF_OUTLINES = 0.01  # the same for contours of masks
 # Parts of the outline without points near it, from which the surface has another shape if that is said by
 # other signs too; if it happens in several places; and in any case.
-_BARE, _SCATTERED, _MOSTLY_BARE = 0.1, 0.25, 0.65
-_CROSSED = 0.15  # part of the outline where points go on beyond it, from which it has another shape
+_BARE, _SCATTERED, _MOSTLY_BARE = 0.15, 0.25, 0.65
+_WIDELY_BARE = 0.25  # the same if distances have a pattern, as they have on every real petal
+# Parts of the outline where points go on beyond it, from which it has another shape if many points lie
+# beyond the whole surface too; and in any case.
+_CROSSED, _MOSTLY_CROSSED = 0.1, 0.3
 # The other signs: part of the points that lie beyond this distance, and size of a pattern of distances,
 # both distances relative to the target's size.
-_SOME_BEYOND, _BEYOND, _PATTERN = 0.005, 0.01, 0.004
+_SOME_BEYOND, _MANY_BEYOND, _BEYOND, _PATTERN = 0.01, 0.025, 0.01, 0.004
 _GROSS = 6.0  # in units of the noise
 _EMPTY = 0.1  # part of the surface without data, above which there is a warning
 _ROUNDING = 1e-6  # smaller distances, relative to a target's size, are rounding errors
@@ -113,18 +116,16 @@ def misfit_of_outline(part: Agreement, seen: Coverage, systematic: float) -> str
         return f"{empty}; the points have another shape"
     if seen.scattered > _SCATTERED:
         return f"{empty}, in several places; the points have another outline"
-    if seen.crossed > _CROSSED:
+    used = np.abs(part.distances[part.used])
+    beyond = float(np.mean(used > max(_GROSS * spread_of(used), _BEYOND * size)))
+    if seen.crossed > (_CROSSED if beyond > _MANY_BEYOND else _MOSTLY_CROSSED):
         return (
             f"no petal of this model fits: the points go on beyond {100 * seen.crossed:.0f} % of its "
             "outline; they have another outline, or none"
         )
-    if seen.outline <= _BARE:
-        return ""
-    used = np.abs(part.distances[part.used])
-    beyond = np.mean(used > max(_GROSS * spread_of(used), _BEYOND * size))
-    if beyond > _SOME_BEYOND:
+    if seen.outline > _BARE and beyond > _SOME_BEYOND:
         return f"{empty}, while {100 * beyond:.1f} % of the points lie beyond it"
-    if systematic > _PATTERN * size:
+    if seen.outline > _WIDELY_BARE and systematic > _PATTERN * size:
         return f"{empty}, and its distances from the points have a pattern; they have another shape"
     return ""
 

@@ -77,6 +77,11 @@ class Sheet:
     points: Float[np.ndarray, "n 3"]
     weights: Float[np.ndarray, " n"]
 
+    @property
+    def whole(self) -> Sheet:
+        """The likelihood of all points, where these stand for more of them."""
+        return self
+
     def cost(
         self,
         box: Box,

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
 
-from petalfit.fitting.likelihood.scales import geman_mcclure, spread_of
+from petalfit.fitting.likelihood.scales import geman_mcclure, spacing, spread_of
 
 _NEIGHBOUR = 8  # the distance to this neighbour measures the density around a point
 _PLANE = 12  # neighbours that a local plane is fitted to
@@ -15,6 +15,8 @@ _SPARSE = 2.5  # a point is isolated beyond this many median neighbour distances
 _OFF = 4.0  # a point is off its local plane beyond this many robust standard deviations
 _ROUNDS = 3
 _FEWEST = 32
+_MOST = 20_000  # points that are tested
+_BESIDE = 2.0  # spacings of the tested points, up to which another one lies beside them
 
 
 def on_sheets(points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
@@ -24,9 +26,15 @@ def on_sheets(points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
     third of all points and fills the surface's own box. The test knows no model: what it keeps is good to
     start a search with, but is no final decision.
 
+    Of a large cloud some points are tested, and the others are kept beside those that are.
+
     Args:
         points: Shape (n, 3).
     """
+    if len(points) > _MOST:
+        some = points[np.random.default_rng(0).permutation(len(points))[:_MOST]]
+        tree = KDTree(some[on_sheets(some)])
+        return np.asarray(tree.query(points, workers=-1)[0]) < _BESIDE * spacing(tree)
     kept = np.arange(len(points))
     if len(kept) > _FEWEST:
         kept = kept[_dense(points)]

@@ -30,6 +30,8 @@ class Request:
         seed: The seed of random choices.
         base: A point near the base of the petal, in the targets' frame; None if it is not known which end
             is the base.
+        every_point: Whether every step takes every point of a large cloud, which is slow and changes the
+            answer by less than its errors.
         placed: For a mask without a camera, the scale and the shifts to start from, in pixels.
         ends_only: Whether to leave out the correction of the bias and the errors, which take long for
             silhouettes.
@@ -44,6 +46,7 @@ class Request:
     from_template: bool = False
     seed: int = 0
     base: tuple[float, float, float] | None = None
+    every_point: bool = False
     placed: Mapping[str, float] = dataclasses.field(default_factory=dict)
     ends_only: bool = False
 

@@ -39,6 +39,7 @@ class Iterate(Generic[Model]):
         mixture: The probability of each point to belong to the surface; None without outliers.
         freedom: Effective number of parameters, if that is not the number of free parameters; else None.
         trait_errors: Standard errors of the traits, if they do not follow from named parameters.
+        points_used: The numbers of points by stage, if not all stages used all points.
     """
 
     model: Model
@@ -54,6 +55,7 @@ class Iterate(Generic[Model]):
     mixture: Mixture | None = None
     freedom: float | None = None
     trait_errors: dict[str, float] = dataclasses.field(default_factory=dict)
+    points_used: dict[str, int] = dataclasses.field(default_factory=dict)
 
     @property
     def is_finite(self) -> bool:

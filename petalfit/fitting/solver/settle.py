@@ -33,7 +33,7 @@ _LOOK_AGAIN = 12  # steps, after which places are searched for on the whole surf
 _JITTER = 1e-4  # rise of the cost that is accepted, because a nearest segment may change
 _FIRST, _LEAST, _MOST = 300.0, 1e-3, 1e10  # damping, per squared spread
 # log τ/σ, the blur of the edges relative to the noise: its least, first and greatest value.
-_BLURS = (0.0, 0.1, 3.0)
+_BLURS = (0.0, 0.1, 1.4)
 _QUIETER = 1.5  # the greatest change of log σ in a step
 _FOLLOWED = 0.1  # places follow a step by at most this part of the domain
 # A descent is not followed further if its cost is higher than that of another end by more than the first
@@ -209,6 +209,16 @@ class Settled:
     def sigma(self) -> float:
         return float(np.exp(self.stand.z[-2]))
 
+    @property
+    def blur(self) -> float:
+        """The blur τ of the edges."""
+        return float(np.exp(np.sum(self.stand.z[-NUISANCES:])))
+
+    def away(self, other: Settled) -> float:
+        """How far another place lies from this one, in standard errors of this one."""
+        step = other.stand.z - self.stand.z
+        return float(np.sqrt(max(step @ self.stand.information @ step, 0.0)))
+
     def with_cloud(self, sheet: Sheet, temperature: float) -> Settled:
         """The same place before another cloud, from which a descent can go on."""
         problem = dataclasses.replace(self.problem, sheet=sheet, temperature=temperature)
@@ -219,7 +229,7 @@ class Settled:
         """The end in the form of other solvers, with foot points and residuals."""
         problem, here, model = self.problem, self.stand, self.model
         distance, beyond, uv = problem.sheet.beside(model, here.places)
-        sheet = problem.sheet
+        sheet = problem.sheet.whole
         residuals = Residuals(
             signed_distance(distance, beyond), sheet.weights, self.sigma, "length", self.chi2, uv
         )
@@ -230,7 +240,7 @@ class Settled:
         information = information / np.outer(slopes, slopes)
         return Iterate(
             model,
-            (_term(problem.sheet, uv, self.sigma),),
+            (_term(sheet, uv, self.sigma),),
             self.rounds,
             self.moved,
             None,

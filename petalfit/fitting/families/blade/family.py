@@ -45,6 +45,11 @@ class BladeFamily(OpenSurfaceFamily):
         found = blade_starts(cast(BladePetal, template), free, points, pose != "known")
         return [start.scaled("length", pose) for start in found]
 
+    def followed(self, starts: Sequence[CloudStart]) -> Sequence[CloudStart]:
+        """Both ends of a long blade; of one as wide as long, every direction."""
+        best, *_ = found = cast(Sequence[BladeStart], starts)
+        return found if best.is_round else found[:2]
+
     def labels(self, starts: Sequence[CloudStart]) -> list[str]:
         best, *_ = found = cast(Sequence[BladeStart], starts)
         return [start.beside(best) for start in found]

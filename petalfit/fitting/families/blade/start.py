@@ -17,6 +17,7 @@ from petalfit.components.blade_petal import bend, profile
 from petalfit.fitting.coordinates import with_values
 from petalfit.fitting.families.open_surface import CloudStart
 from petalfit.fitting.starts.flatten import flatten
+from petalfit.fitting.starts.symmetry import onto_mirror_line
 from petalfit.surfaces import rotation
 
 OUTLINE = ("width", "widest", "base_width", "tip_width", "base_taper", "tip_taper")
@@ -41,6 +42,7 @@ _TURNED = (
     "base and tip exchanged",
     "turned by three quarters",
 )
+_ROUND = 1.35
 _HELD_BACK = 0.3  # weight of the prior (typical ranges) against distances in tenths of the length
 
 
@@ -52,11 +54,14 @@ class BladeStart(CloudStart):
         misfit: Root mean square distance of points to their places on the blade, in blade lengths.
         quarter: The number of quarter turns of the flattened cloud that bring its tip up.
         side: The side of the cloud from which the blade is seen, 1 or −1.
+        is_round: Whether the flattened cloud is nearly as wide as long, so that its extent does not show
+            which way the blade lies.
     """
 
     misfit: float
     quarter: int
     side: float
+    is_round: bool
 
     def beside(self, other: BladeStart) -> str:
         """Its orientation relative to another start of the same cloud, in words."""
@@ -75,7 +80,8 @@ def blade_starts(
         points: The points of the cloud.
         posed: Whether the pose is fitted; else the blade is in the cloud's frame, up to its size.
     """
-    plane = flatten(points)
+    plane = onto_mirror_line(flatten(points))
+    narrow, wide = np.sort(plane.std(axis=0)).tolist()
     found = []
     for quarter in range(4):
         turn = quarter * np.pi / 2
@@ -87,7 +93,9 @@ def blade_starts(
         for side in (1.0,) if posed else (1.0, -1.0):
             start = _start(template, free, points, side * q, s, reach, posed)
             label = f"start {len(found) + 1}"
-            found.append(BladeStart(*start[:4], label, start[4], quarter, side))
+            found.append(
+                BladeStart(*start[:4], label, start[4], quarter, side, wide < _ROUND * narrow)
+            )
     return sorted(found, key=lambda start: start.misfit)
 
 
