@@ -1,0 +1,4 @@
+"""Segmentation of a cloud of several sheets: which points lie on the same one, before any model is fitted."""
+
+from petalfit.fitting.segmentation.segments import Segments as Segments
+from petalfit.fitting.segmentation.segments import segments_of as segments_of
