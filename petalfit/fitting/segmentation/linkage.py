@@ -12,7 +12,9 @@ from petalfit.fitting.segmentation.pairs import Pairs, width_of
 
 _SMALL = 60  # points; smaller facets join others by any contact
 _WIDE = 0.6  # width of a contact of two facets, by the root of the smaller one's number of points
-_AGAINST = 1.5  # evidence against a contact, by that for it, which prevents that two clusters are joined
+_AGAINST = (
+    1.5  # evidence against a contact, by that for it, which prevents that two clusters are joined
+)
 _UNCHANGED = 1e-3
 _MOVES = 5
 

@@ -7,7 +7,9 @@ from jaxtyping import Float
 
 from petalfit.fitting.segmentation.neighbours import Neighbours
 
-_TRIALS = 60  # planes through a point and two neighbours, of which the one with most support is kept
+_TRIALS = (
+    60  # planes through a point and two neighbours, of which the one with most support is kept
+)
 _CURVED = 0.15  # height of a curved sheet above its plane at the rim of a neighbourhood, in radii
 _NEARER = 0.3  # neighbours nearer than this part of the radius count alike
 _ALIKE = 0.35  # normals of one sheet differ by about this much within a neighbourhood, in rad

@@ -50,7 +50,9 @@ class Quadrics:
         """
         axes, unit = _frames(normals), near.radius[:, 0]
         local = np.einsum("nki,nji->nkj", near.offset, axes) / unit[:, None, None]
-        local = np.concatenate([local, np.zeros((len(local), 1, 3))], axis=1)  # and the point itself
+        local = np.concatenate(
+            [local, np.zeros((len(local), 1, 3))], axis=1
+        )  # and the point itself
         height, terms = local[..., 2], _terms(local[..., 0], local[..., 1])
         fraction = near.distance / near.radius
         alike = np.exp(
@@ -99,7 +101,5 @@ def _frames(normals: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3 3"]:
     return np.stack([first, np.cross(normals, first), normals], axis=1)
 
 
-def _terms(
-    x: Float[np.ndarray, "n k"], y: Float[np.ndarray, "n k"]
-) -> Float[np.ndarray, "n k 6"]:
+def _terms(x: Float[np.ndarray, "n k"], y: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k 6"]:
     return np.stack([np.ones_like(x), x, y, 0.5 * x * x, x * y, 0.5 * y * y], axis=-1)

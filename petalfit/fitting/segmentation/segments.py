@@ -21,6 +21,7 @@ _WAIST = 0.33  # a waist below this relative width is one between two sheets
 _NEARLY = 0.25  # relative difference from these widths at which another number of sheets is a rival
 _FIRST = 20  # points of the smallest facets that are joined
 _LEAST = 0.008  # smallest share of all points that a segment has
+_PART = 0.03  # smallest share of all points that a part has which is cut off at a waist
 _ROUNDS = 3
 
 
@@ -67,11 +68,11 @@ def segments_of(
     for _ in range(_ROUNDS):
         labels = joined(moved(labels, pairs, few), pairs, _CONTACT)
         few = max(least, _FIRST)
-        labels = cut_at_waists(labels, pairs, _WAIST, few)
+        labels = cut_at_waists(labels, pairs, _WAIST, _PART * len(points))
     labels = renumbered(moved(labels, pairs, few))
     if count is not None:
         return Segments(_of_count(labels, pairs, count, few), noise, ())
-    return Segments(labels, noise, _rivals(labels, pairs, few))
+    return Segments(labels, noise, _rivals(labels, pairs, _PART * len(points)))
 
 
 def _of_count(
