@@ -2,7 +2,7 @@
 
 import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -167,9 +167,15 @@ def list_files(folder: Path, contents: dict[str, str]) -> None:
 
 def warn(result: "FitResult") -> None:
     """Prints all warnings of a result, to the console for errors so that they are seen in any case."""
-    console = errors()
-    for warning in result.warnings:
-        console.print(Text(f"warning: {warning}", style="yellow"), soft_wrap=True)
+    warn_of(result.warnings)
     if not result.converged:
+        console = errors()
         sentence = f"{result.outcome}; the files hold what it ended with"
         console.print(Text(f"petalfit: {sentence}", style="bold yellow"), soft_wrap=True)
+
+
+def warn_of(warnings: Iterable[str]) -> None:
+    """Prints warnings, to the console for errors."""
+    console = errors()
+    for warning in warnings:
+        console.print(Text(f"warning: {warning}", style="yellow"), soft_wrap=True)

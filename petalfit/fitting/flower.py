@@ -70,7 +70,7 @@ def fit_flower(
         loss: As in `fit`, for each petal.
         seed: The seed of random choices.
         progress: A function that is called with a line of text whenever a stage begins.
-        throw: Whether to raise `FitError` if a petal's fit failed; else `converged` of the result is False.
+        throw: Whether to raise `FitError` if a fit failed; else `converged` of the result is False.
 
     Returns:
         The result. Read its `warnings`.
@@ -109,8 +109,8 @@ def fit_flower(
 def _check_count(cloud: PointCloud, petals: int | None) -> None:
     if len(cloud) < FEWEST:
         raise TargetError(
-            f"{len(cloud)} points are too few to tell the petals of a flower apart; scan it with {FEWEST} "
-            "or more, better some thousand."
+            f"{len(cloud)} points are too few to tell the petals of a flower apart; scan it with "
+            f"{FEWEST} or more, better some thousand."
         )
     if petals is not None and not 1 <= petals <= min(MOST_PETALS, len(cloud) // 50):
         raise TargetError(
@@ -123,19 +123,19 @@ def _check_segments(found: Segments, petals: int | None) -> None:
     on = float(np.mean(found.labels >= 0))
     if on < _ON_SHEETS:
         raise TargetError(
-            f"only {100 * on:.0f} % of the points lie on smooth sheets that their neighbours continue: the "
-            "cloud is too sparse or too noisy to tell the petals apart; scan it more densely, or crop it "
-            "to one flower."
+            f"only {100 * on:.0f} % of the points lie on smooth sheets that their neighbours continue: "
+            "the cloud is too sparse or too noisy to tell the petals apart; scan it more densely, or "
+            "crop it to one flower."
         )
     if found.count > MOST_PETALS:
         raise TargetError(
-            f"the cloud has {found.count} separate sheets, where a flower has at most {MOST_PETALS} petals "
-            "here: crop it to one flower."
+            f"the cloud has {found.count} separate sheets, where a flower has at most {MOST_PETALS} "
+            "petals here: crop it to one flower."
         )
     if petals is not None and found.count != petals:
         raise TargetError(
-            f"the cloud shows {found.count} sheets, which cannot be cut to {petals} petals: give the number "
-            "that you see, or leave petals out."
+            f"the cloud shows {found.count} sheets, which cannot be cut to {petals} petals: give the "
+            "number that you see, or leave petals out."
         )
 
 

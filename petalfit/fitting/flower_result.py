@@ -10,6 +10,7 @@ import numpy as np
 
 from petalfit.colours import Colour
 from petalfit.components import ConeReceptacle
+from petalfit.export.mesh import export_petals
 from petalfit.fitting.result import FitResult
 from petalfit.flowers import Arrangement, Flower, Series
 from petalfit.report.flower_page import write_flower_report
@@ -29,6 +30,20 @@ class FlowerResult(FlowerRecord):
     def report(self, path: str | os.PathLike[str]) -> None:
         """Write one self-contained HTML page with a picture, and a table of the petals."""
         write_flower_report(self, path)
+
+    def export(self, path: str | os.PathLike[str]) -> None:
+        """Write the petals in the target's frame as binary glTF, each as a named node.
+
+        The file is written completely or not at all.
+
+        Args:
+            path: The path of the file, with the suffix .glb; an existing file is replaced.
+
+        Raises:
+            ValueError: The path has another suffix.
+            OSError: The file cannot be written.
+        """
+        export_petals(dict(zip(self.names, self.petals, strict=True)), path)
 
     def flower(self, name: str = "scanned") -> Flower:
         """The petals as a flower that can be edited, grown again and exported.

@@ -63,7 +63,8 @@ def _page(result: FlowerRecord) -> str:
         '<p class="eyebrow">petalfit · flower report</p>\n'
         f"<h1>{count(result.count, 'petal')} in {html.escape(result.target.described)} "
         f'<span class="status {state[0]}">{state[1]}</span></h1>\n<dl class="facts">{listing}</dl>\n'
-        f'{warnings}\n<h2>Points by petal</h2>\n<div class="pair">{_view(result, 1)}{_view(result, 2)}</div>'
+        f"{warnings}\n<h2>Points by petal</h2>\n"
+        f'<div class="pair">{_view(result, 1)}{_view(result, 2)}</div>'
         f"\n<h2>Petals</h2>\n{_table(result)}\n{_whorls(result)}\n"
         f'<p class="soft">{html.escape(result.made_by)} {html.escape(result.command)}</p>\n'
         "</main>\n</body>\n</html>\n"

@@ -102,6 +102,21 @@ class FlowerRecord:
             scene.add_geometry(petal.mesh(resolution), node_name=name, geom_name=name)
         return scene
 
+    def table(self) -> str:
+        """The petals as CSV: their points, their whorl, and what is measured, with errors."""
+        whorl = {k: n + 1 for n, ring in enumerate(self.layout.whorls) for k in ring.petals}
+        traits = list(self.petals[0].traits) if self.petals else []
+        heads = [head for name in traits for head in (name, f"{name}_stderr")]
+        rows = [["petal", "whorl", "points", "rms", "status", *heads]]
+        for k, (name, petal) in enumerate(zip(self.names, self.petals, strict=True)):
+            numbers = [
+                (petal.traits[trait].value, petal.traits[trait].stderr) for trait in petal.traits
+            ]
+            points = str(np.count_nonzero(self.labels == k))
+            head = [name, str(whorl.get(k, "")), points, repr(petal.rms), str(petal.status)]
+            rows.append([*head, *(repr(x) for pair in numbers for x in pair)])
+        return "".join(",".join(row) + "\n" for row in rows)
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write everything as lossless JSON, which `load` reads. A failure leaves no partial file."""
         own = {

@@ -101,7 +101,7 @@ def _between(whorls: tuple[Whorl, ...], error: float) -> Quantity:
 
 
 def _bic(squares: float, count: int, parameters: int, within: float) -> float:
-    """The criterion for differences of azimuths in rad, and for distances about the means of their rings."""
+    """The criterion for differences of azimuths, and for distances about the means of rings."""
     floor = count * _LEAST**2
     return (
         count * math.log(max(squares, floor) / count)

@@ -1,4 +1,4 @@
-"""Segmentation of a cloud of several sheets: which points lie on the same one, before any model is fitted."""
+"""Segmentation of a cloud of several sheets: which points lie on the same one."""
 
 from petalfit.fitting.segmentation.segments import FEWEST as FEWEST
 from petalfit.fitting.segmentation.segments import Segments as Segments

@@ -5,7 +5,7 @@ from __future__ import annotations
 import heapq
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 from scipy.sparse import coo_array
 
 from petalfit.fitting.segmentation.pairs import Pairs, width_of
@@ -92,7 +92,7 @@ def moved(labels: Int[np.ndarray, " n"], pairs: Pairs, least: float) -> Int[np.n
     column = np.concatenate([pairs.other, pairs.one])
     evidence = np.tile(pairs.same, 2)
     for _ in range(_MOVES):
-        sizes = np.bincount(labels[labels >= 0], minlength=count)
+        sizes = np.bincount(labels[labels >= 0], minlength=max(count, 1))
         theirs = labels[column]
         counts = (theirs >= 0) & (sizes[theirs] >= least)
         cells = (evidence[counts], (row[counts], theirs[counts]))
@@ -154,6 +154,7 @@ def contact_widths(labels: Int[np.ndarray, " n"], pairs: Pairs) -> dict[tuple[in
     evidence = pairs.smooth[across]
     given = np.bincount(where, np.maximum(evidence, 0), minlength=len(keys))
     against = np.bincount(where, np.maximum(-evidence, 0), minlength=len(keys))
+    given, against = given.astype(float), against.astype(float)  # if there are none, they are integers
     one, other = keys // max(len(sizes), 1), keys % max(len(sizes), 1)
     width = np.asarray(width_of(given)) / np.sqrt(np.minimum(sizes[one], sizes[other]))
     width[against > _AGAINST * given] = 0.0

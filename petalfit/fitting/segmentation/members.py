@@ -56,7 +56,7 @@ def memberships(
 ) -> Float[np.ndarray, "n k"]:
     """The probability that each point belongs to each of several sheets, by expectation maximisation.
 
-    Where sheets lie nearer to each other than a model follows them, the segments of the neighbours decide.
+    Where sheets lie nearer to each other than a model follows them, the neighbours decide.
 
     Args:
         points: The points.

@@ -67,7 +67,7 @@ def segments_of(
     labels, few, least = facets(pairs, len(points)), float(_FIRST), _LEAST * len(points)
     for _ in range(_ROUNDS):
         labels = joined(moved(labels, pairs, few), pairs, _CONTACT)
-        few = max(least, _FIRST)
+        few = max(least, float(_FIRST))
         labels = cut_at_waists(labels, pairs, _WAIST, _PART * len(points))
     labels = renumbered(moved(labels, pairs, few))
     if count is not None:
@@ -78,7 +78,7 @@ def segments_of(
 def _of_count(
     labels: Int[np.ndarray, " n"], pairs: Pairs, count: int, least: float
 ) -> Int[np.ndarray, " n"]:
-    """The labels with a given number of segments: the widest contacts joined, or the narrowest waists cut."""
+    """The labels with a given number of segments: the widest contacts joined, or waists cut."""
     while (found := int(labels.max(initial=-1)) + 1) > count:
         widths = contact_widths(labels, pairs)
         widest = max(widths, key=lambda pair: widths[pair], default=None)
@@ -100,7 +100,7 @@ def _of_count(
 
 
 def _rivals(labels: Int[np.ndarray, " n"], pairs: Pairs, least: float) -> tuple[int, ...]:
-    """Numbers of segments next to the one found, if a contact or a waist nearly has the other kind's width."""
+    """Other numbers of segments, if a contact or a waist nearly has the width to count."""
     count = int(labels.max(initial=-1)) + 1
     widest = max(contact_widths(labels, pairs).values(), default=0.0)
     waists = [
