@@ -154,7 +154,10 @@ def contact_widths(labels: Int[np.ndarray, " n"], pairs: Pairs) -> dict[tuple[in
     evidence = pairs.smooth[across]
     given = np.bincount(where, np.maximum(evidence, 0), minlength=len(keys))
     against = np.bincount(where, np.maximum(-evidence, 0), minlength=len(keys))
-    given, against = given.astype(float), against.astype(float)  # if there are none, they are integers
+    given, against = (
+        given.astype(float),
+        against.astype(float),
+    )  # if there are none, they are integers
     one, other = keys // max(len(sizes), 1), keys % max(len(sizes), 1)
     width = np.asarray(width_of(given)) / np.sqrt(np.minimum(sizes[one], sizes[other]))
     width[against > _AGAINST * given] = 0.0
