@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
@@ -211,9 +212,8 @@ def _arranged(
         axis=Pose(axes, origin, scale),
         layout=layout,
         rivals=tuple(rival - dropped for rival in rivals if rival > dropped),
-        warnings=(),
     )
-    return FlowerResult(**vars(result) | {"warnings": tuple(_warnings(result))})
+    return dataclasses.replace(result, warnings=tuple(_warnings(result)))
 
 
 def _warnings(result: FlowerResult) -> Iterator[FitWarning]:

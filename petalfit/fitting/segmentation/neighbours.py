@@ -16,13 +16,13 @@ class Neighbours(NamedTuple):
 
     Attributes:
         points: The points, shape (n, 3).
-        index: Indices of the neighbours, shape (n, k).
+        others: Indices of the neighbours, shape (n, k).
         offset: The way from each point to its neighbours, shape (n, k, 3).
         distance: The lengths of these ways, shape (n, k).
     """
 
     points: Float[np.ndarray, "n 3"]
-    index: Int[np.ndarray, "n k"]
+    others: Int[np.ndarray, "n k"]
     offset: Float[np.ndarray, "n k 3"]
     distance: Float[np.ndarray, "n k"]
 

@@ -37,13 +37,13 @@ class Pairs(NamedTuple):
     @classmethod
     def of(cls, near: Neighbours, quadrics: Quadrics, noise: float) -> Pairs:
         """The pairs of all points and their neighbours."""
-        n, k = near.index.shape
+        n, k = near.others.shape
         normals = quadrics.normals
-        cosine = np.abs(np.einsum("ni,nki->nk", normals, normals[near.index]))
+        cosine = np.abs(np.einsum("ni,nki->nk", normals, normals[near.others]))
         curved = np.maximum(np.abs(quadrics.residuals), np.abs(quadrics.above(near)))
         plane = np.maximum(
             np.abs(np.einsum("nki,ni->nk", near.offset, normals)),
-            np.abs(np.einsum("nki,nki->nk", near.offset, normals[near.index])),
+            np.abs(np.einsum("nki,nki->nk", near.offset, normals[near.others])),
         )
         smooth = np.minimum(
             1 - curved / (_QUADRIC * noise + _QUADRIC_FAR * near.distance),
@@ -54,7 +54,7 @@ class Pairs(NamedTuple):
             1 - (1 - cosine) / _UNCREASED,
         )
         same = np.minimum(smooth, same)
-        row, column = np.repeat(np.arange(n), k), near.index.ravel()
+        row, column = np.repeat(np.arange(n), k), near.others.ravel()
         one, other = np.minimum(row, column), np.maximum(row, column)
         _, once = np.unique(one * n + other, return_index=True)
         smooth, same = (np.clip(x.ravel()[once], -1, 1) for x in (smooth, same))

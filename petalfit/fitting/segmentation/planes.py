@@ -52,7 +52,7 @@ def _supported(
     rng: np.random.Generator,
 ) -> Float[np.ndarray, "n 3"]:
     """The normals of the planes with the largest support among random ones."""
-    n, k = near.index.shape
+    n, k = near.others.shape
     best, normals, row = np.full(n, -1.0), np.zeros((n, 3)), np.arange(n)
     for _ in range(_TRIALS):
         first = rng.integers(0, k, n)
@@ -81,7 +81,7 @@ def _agreed(
     nearness: Float[np.ndarray, "n k"],
 ) -> Float[np.ndarray, "n 3"]:
     """The normals after each point has taken the best one, of its own and those of its neighbours."""
-    theirs = normals[near.index]
+    theirs = normals[near.others]
 
     def agreement(own: np.ndarray) -> np.ndarray:
         square = np.einsum("nki,ni->nk", theirs, own) ** 2

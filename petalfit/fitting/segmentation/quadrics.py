@@ -56,7 +56,7 @@ class Quadrics:
         height, terms = local[..., 2], _terms(local[..., 0], local[..., 1])
         fraction = near.distance / near.radius
         alike = np.exp(
-            -0.5 * (1 - np.einsum("nki,ni->nk", normals[near.index], normals) ** 2) / _ALIKE**2
+            -0.5 * (1 - np.einsum("nki,ni->nk", normals[near.others], normals) ** 2) / _ALIKE**2
         )
         off, coefficients, weights = height, np.zeros((len(local), 6)), np.ones(height.shape)
         for round_ in range(_ROUNDS):
@@ -77,7 +77,7 @@ class Quadrics:
 
     def above(self, near: Neighbours) -> Float[np.ndarray, "n k"]:
         """The height of every point above the quadrics of its neighbours."""
-        index = near.index
+        index = near.others
         x, y, z = np.moveaxis(-np.einsum("nki,nkji->nkj", near.offset, self.axes[index]), -1, 0)
         unit = self.unit[index]
         terms = _terms(x / unit, y / unit)

@@ -79,7 +79,7 @@ def _graph(inside: Int[np.ndarray, " m"], pairs: Pairs) -> csr_array:
 
 
 def _waist(graph: csr_array, least: float) -> Waist:
-    n = graph.shape[0]
+    n = len(graph.indptr) - 1
     if n < 2 * least:
         return Waist(np.inf, np.zeros(n, bool))
     pieces, piece = connected_components(graph, directed=False)
