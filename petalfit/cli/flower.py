@@ -7,7 +7,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from petalfit.cli.options import Quiet, require_seed
-from petalfit.cli.status import NOT_CONVERGED, SUCCESS
+from petalfit.cli.status import NOT_CONVERGED, SUCCESS, CommandError
 
 FLOWER = "flower.json"
 MESH = "flower.glb"
@@ -64,20 +64,23 @@ def flower(
     from petalfit.cli.models import kind_of
     from petalfit.cli.results import check_folder, written_whole
     from petalfit.compilation.cache import compilation_cache
+    from petalfit.fitting import FOR_SCANS
     from petalfit.observations import PointCloud
 
     check_folder(out)
+    kind = FOR_SCANS if model is None else kind_of(model)
+    if isinstance(kind, str):
+        raise CommandError("--model auto is there for single petals; name a component.")
     with progress(quiet) as show:
         show(f"reading {scan}")
         cloud = PointCloud.load(scan)
         with compilation_cache() as compiled:
             from petalfit.fitting import fit_flower
-            from petalfit.fitting.families.registry import FOR_SCANS
 
             again = "" if compiled else " (compiling, which only the first fit needs)"
             result = fit_flower(
                 cloud,
-                model=FOR_SCANS if model is None else kind_of(model),
+                model=kind,
                 petals=petals,
                 loss=loss,
                 seed=seed,

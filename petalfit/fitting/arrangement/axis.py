@@ -35,7 +35,7 @@ class Placed(NamedTuple):
         return Placed(np.delete(self.base, k, axis=0), np.delete(self.middle, k, axis=0))
 
 
-def meeting_point(segments: Sequence[Float[np.ndarray, "n 3"]]) -> Float[np.ndarray, "3"]:
+def meeting_point(segments: Sequence[Float[np.ndarray, "_ 3"]]) -> Float[np.ndarray, "3"]:
     """The point of several segments that is the nearest to all of them: petals meet at their bases."""
     every = np.concatenate(segments)
     some = every[:: max(1, len(every) // _CANDIDATES)]
