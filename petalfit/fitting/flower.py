@@ -30,6 +30,7 @@ _EXPLAINED, _NEAR = (
     4.0,
 )  # the part of its points that then lies this near to them, in the noise
 _ON_SHEETS = 0.5  # the share of the points in segments below which sheets cannot be told apart
+_THICK = 0.25  # noise, in radii of neighbourhoods, from which points fill space
 _LEFT_OUT = 0.1  # the share of the points in no petal that is worth a warning
 
 
@@ -122,11 +123,11 @@ def _check_count(cloud: PointCloud, petals: int | None) -> None:
 
 def _check_segments(found: Segments, petals: int | None) -> None:
     on = float(np.mean(found.labels >= 0))
-    if on < _ON_SHEETS:
+    if on < _ON_SHEETS or found.thickness > _THICK:
         raise TargetError(
-            f"only {100 * on:.0f} % of the points lie on smooth sheets that their neighbours continue: "
-            "the cloud is too sparse or too noisy to tell the petals apart; scan it more densely, or "
-            "crop it to one flower."
+            "the points do not lie on smooth sheets that their neighbours continue: the cloud "
+            "is too sparse or too noisy to tell the petals apart; scan it more densely, or crop it to one "
+            "flower."
         )
     if found.count > MOST_PETALS:
         raise TargetError(

@@ -22,7 +22,12 @@ _UP = np.array([0.0, 1.0, 0.0])
 
 
 class FlowerResult(FlowerRecord):
-    """The petals of a flower that were recovered from one scan. See `FlowerRecord` for its attributes."""
+    """The petals of a flower that were recovered from one scan. See `FlowerRecord` for its attributes.
+
+    Attributes:
+        petals: The fits of the petals, as results with reports and draws.
+        petal_kind: The class of these.
+    """
 
     petals: tuple[FitResult, ...]
     petal_kind: ClassVar[type[FitResult]] = FitResult

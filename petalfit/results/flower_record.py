@@ -64,6 +64,7 @@ class FlowerRecord:
         warnings: Reasons to doubt the result.
         made_by: The version of petalfit that made the result.
         command: The command line that made the result; empty if none did.
+        petal_kind: The class of the petals' fits.
     """
 
     target: PointCloud

@@ -33,11 +33,13 @@ class Segments:
         labels: The segment of every point, −1 for none, shape (n,).
         noise: Standard deviation of the points' distances from their sheets.
         rivals: Other numbers of segments that the evidence hardly excludes.
+        thickness: The noise in median radii of neighbourhoods: 0.3 where points fill space.
     """
 
     labels: Int[np.ndarray, " n"]
     noise: float
     rivals: tuple[int, ...]
+    thickness: float
 
     @property
     def count(self) -> int:
@@ -70,9 +72,11 @@ def segments_of(
         few = max(least, float(_FIRST))
         labels = cut_at_waists(labels, pairs, _WAIST, _PART * len(points))
     labels = renumbered(moved(labels, pairs, few))
+    thickness = noise / float(np.median(near.radius))
     if count is not None:
-        return Segments(_of_count(labels, pairs, count, few), noise, ())
-    return Segments(labels, noise, _rivals(labels, pairs, _PART * len(points)))
+        return Segments(_of_count(labels, pairs, count, few), noise, (), thickness)
+    rivals = _rivals(labels, pairs, _PART * len(points))
+    return Segments(labels, noise, rivals, thickness)
 
 
 def _of_count(
