@@ -65,7 +65,6 @@ def flower(
     from petalfit.cli.results import check_folder, written_whole
     from petalfit.compilation.cache import compilation_cache
     from petalfit.fitting import FOR_SCANS
-    from petalfit.observations import PointCloud
 
     check_folder(out)
     kind = FOR_SCANS if model is None else kind_of(model)
@@ -73,13 +72,12 @@ def flower(
         raise CommandError("--model auto is there for single petals; name a component.")
     with progress(quiet) as show:
         show(f"reading {scan}")
-        cloud = PointCloud.load(scan)
         with compilation_cache() as compiled:
             from petalfit.fitting import fit_flower
 
             again = "" if compiled else " (compiling, which only the first fit needs)"
             result = fit_flower(
-                cloud,
+                scan,
                 model=kind,
                 petals=petals,
                 loss=loss,

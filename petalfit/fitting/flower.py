@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
@@ -18,6 +19,7 @@ from petalfit.fitting.result import FitResult
 from petalfit.fitting.segmentation import FEWEST, Segments, segments_of
 from petalfit.fitting.segmentation.members import Sheet, memberships
 from petalfit.observations import PointCloud, TargetError, as_point_cloud
+from petalfit.observations.mesh_pieces import SEVERAL
 from petalfit.results import FitWarning, WarningKind
 from petalfit.surfaces import AbstractSurface, Pose
 
@@ -83,7 +85,7 @@ def fit_flower(
     """
     say = progress or (lambda text: None)
     check_request(model, pose="similarity", loss=loss, free=None, init=None, noise=None)
-    cloud = as_point_cloud(target)
+    cloud = _scan(target, seed)
     _check_count(cloud, petals)
     say("telling the sheets apart")
     rng = np.random.default_rng(seed)
@@ -108,6 +110,15 @@ def fit_flower(
     return result
 
 
+def _scan(target: object, seed: int) -> PointCloud:
+    """The cloud of a target; meshes are sampled densely enough to tell their sheets apart."""
+    if isinstance(target, str | os.PathLike):
+        return PointCloud.load(target, n=_SEEN, seed=seed)
+    if hasattr(target, "faces") and hasattr(target, "vertices"):
+        return PointCloud.from_mesh(target, _SEEN, seed)  # pyright: ignore[reportArgumentType]
+    return as_point_cloud(target)
+
+
 def _check_count(cloud: PointCloud, petals: int | None) -> None:
     if len(cloud) < FEWEST:
         raise TargetError(
@@ -126,8 +137,8 @@ def _check_segments(found: Segments, petals: int | None) -> None:
     if on < _ON_SHEETS or found.thickness > _THICK:
         raise TargetError(
             "the points do not lie on smooth sheets that their neighbours continue: the cloud "
-            "is too sparse or too noisy to tell the petals apart; scan it more densely, or crop it to one "
-            "flower."
+            "is too sparse or too noisy to tell the petals apart; scan it more densely, or crop it to "
+            "one flower."
         )
     if found.count > MOST_PETALS:
         raise TargetError(
@@ -219,6 +230,8 @@ def _arranged(
 
 def _warnings(result: FlowerResult) -> Iterator[FitWarning]:
     for note in result.target.notes:
+        if SEVERAL in note:
+            continue  # they are the petals
         yield FitWarning(f"{note[0].upper()}{note[1:].removesuffix('.')}.", WarningKind.TARGET)
     if result.count == 1:
         yield FitWarning(
@@ -240,5 +253,5 @@ def _warnings(result: FlowerResult) -> Iterator[FitWarning]:
     for name, petal in zip(result.names, result.petals, strict=True):
         if not petal.converged:
             yield FitWarning(
-                f"The fit of {name} did not converge: {petal.message}", WarningKind.SYSTEMATIC
+                f"The fit of {name} did not converge: {petal.outcome}.", WarningKind.SYSTEMATIC
             )

@@ -16,6 +16,7 @@ from petalfit.fitting.segmentation.waists import cut_at_waists, narrowest_waist
 
 FEWEST = 20 * COUNT
 _GUESS = 0.3  # noise to begin with, in median distances to the nearest neighbour
+_EXACT = 0.1  # least noise, in the same; sheets without any are not followed more closely
 _CONTACT = 0.38  # a contact of this relative width is one within a sheet
 _WAIST = 0.33  # a waist below this relative width is one between two sheets
 _NEARLY = 0.25  # relative difference from these widths at which another number of sheets is a rival
@@ -64,7 +65,9 @@ def segments_of(
     near = Neighbours.of(points)
     planes = tangent_planes(near, noise := _GUESS * float(np.median(near.distance[:, 0])), seed)
     for _ in range(2):
-        noise = Quadrics.of(near, planes, noise).noise()
+        noise = max(
+            Quadrics.of(near, planes, noise).noise(), _EXACT * float(np.median(near.distance[:, 0]))
+        )
     pairs = Pairs.of(near, Quadrics.of(near, planes, noise), noise)
     labels, few, least = facets(pairs, len(points)), float(_FIRST), _LEAST * len(points)
     for _ in range(_ROUNDS):
