@@ -16,10 +16,12 @@ from petalfit.fitting.likelihood.observed import (
     ScoreAndInformation,
 )
 from petalfit.fitting.likelihood.quadrature import Quadrature
+from petalfit.observations import TargetError
 from petalfit.residuals import AbstractTerm, Emptiness
 from petalfit.surfaces import AbstractSurface
 
 _SLACK = 1.5  # spacings of the points
+_FEWEST = 7  # points whose spacing can be told
 
 
 def spacing(tree: KDTree) -> float:
@@ -43,6 +45,11 @@ class ObservedEmptiness(AbstractObserved):
 
     @classmethod
     def of(cls, points: Float[np.ndarray, "n 3"]) -> ObservedEmptiness:
+        if len(points) < _FEWEST:
+            raise TargetError(
+                f"only {len(points)} of the points seem to belong to one surface, and all others look like "
+                "clutter; if they are none, use loss='linear', else crop the cloud to the petal."
+            )
         tree = KDTree(points)
         return cls(tree, _SLACK * spacing(tree))
 
