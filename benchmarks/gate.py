@@ -67,7 +67,7 @@ def update(metrics: Sequence[Metric], mode: str, suites: Sequence[str]) -> None:
     new = {
         metric.name: {
             "value": float(f"{metric.value:.4g}"),
-            "optional": metric.name.startswith("real."),
+            "optional": metric.name.startswith(("real.", "area.")),
         }
         for metric in metrics
         if metric.tolerance is not None and np.isfinite(metric.value)

@@ -20,6 +20,7 @@ _TITLES = {
     "silhouette": "Random petals from one mask",
     "robustness": "Clutter, noise, holes, pose",
     "real": "Petals that nobody generated",
+    "area": "Their areas, from points with a hole",
     "speed": "Speed, and other tools",
     "scaling": "Many points, many targets",
     "studio": "The studio in a browser",
@@ -34,6 +35,7 @@ _PACKAGES = (
     "scipy",
     "lmfit",
     "mitsuba",
+    "open3d",
     "viser",
 )
 

@@ -6,9 +6,19 @@ import importlib
 
 from benchmarks.metric import Suite
 
-NAMES = ("startup", "recovery", "silhouette", "robustness", "real", "speed", "scaling", "studio")
+NAMES = (
+    "startup",
+    "recovery",
+    "silhouette",
+    "robustness",
+    "real",
+    "area",
+    "speed",
+    "scaling",
+    "studio",
+)
 # These measure no time that is compared: a quick run lets two of them run at once.
-UNTIMED = ("recovery", "silhouette", "robustness", "real")
+UNTIMED = ("recovery", "silhouette", "robustness", "real", "area")
 
 
 def suite(name: str) -> Suite:

@@ -27,20 +27,21 @@ def shapes() -> list[Path]:
     return sorted(Path(os.environ.get("PETALFIT_SHAPES", beside)).glob("*.ply"))
 
 
-def run(quick: bool, tell: Tell) -> Iterator[Metric]:
-    files = shapes()
+def chosen(suite: str, quick: bool) -> tuple[list[Path], Metric]:
+    """The meshes that a suite measures, all or three of them, and the row that counts them."""
+    files, note = shapes(), ""
     if not files:
-        yield Metric(
-            "real.shapes",
-            0,
-            "1",
-            "more",
-            note="none found: set PETALFIT_SHAPES to a folder of meshes",
-        )
-        return
+        note = "none found: set PETALFIT_SHAPES to a folder of meshes"
     if quick:
         files = files[:: max(1, len(files) // 3)][:3]
-    yield Metric("real.shapes", len(files), "1", "more")
+    return files, Metric(f"{suite}.shapes", len(files), "1", "more", note=note)
+
+
+def run(quick: bool, tell: Tell) -> Iterator[Metric]:
+    files, count = chosen("real", quick)
+    yield count
+    if not files:
+        return
     for model in (pf.BladePetal, pf.SplinePetal):
         name = model.__name__
         off, times = [], []

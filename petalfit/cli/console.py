@@ -166,16 +166,21 @@ def list_files(folder: Path, contents: dict[str, str]) -> None:
 
 
 def warn(result: "FitResult") -> None:
-    """Prints all warnings of a result, to the console for errors so that they are seen in any case."""
-    warn_of(result.warnings)
+    """Prints the doubts that matter most, to the console for errors so that they are seen in any case."""
+    console, (first, rest) = errors(), result.doubts_in_two
     if not result.converged:
-        console = errors()
         sentence = f"{result.outcome}; the files hold what it ended with"
         console.print(Text(f"petalfit: {sentence}", style="bold yellow"), soft_wrap=True)
+    warn_of(first, len(rest))
 
 
-def warn_of(warnings: Iterable[str]) -> None:
-    """Prints warnings, to the console for errors."""
+def warn_of(warnings: Iterable[str], more: int = 0) -> None:
+    """Prints warnings, and how many more the report holds, to the console for errors."""
+    from petalfit.cli.results import REPORT
+
     console = errors()
     for warning in warnings:
         console.print(Text(f"warning: {warning}", style="yellow"), soft_wrap=True)
+    if more:
+        are = "warning is" if more == 1 else "warnings are"
+        console.print(Text(f"{more} more {are} in {REPORT}", style="yellow"), soft_wrap=True)

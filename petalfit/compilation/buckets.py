@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+BLOCK = 512  # rows that a program for blocks takes at once
+
 
 def bucket(n: int) -> int:
     """The size to which n rows are padded: 64, 96, 128, 192, 256 and so on."""
@@ -14,3 +16,11 @@ def bucket(n: int) -> int:
 def pad_to(rows: np.ndarray, size: int) -> np.ndarray:
     """The rows, padded to `size` with copies of the first row."""
     return np.concatenate([rows, np.repeat(rows[:1], size - len(rows), axis=0)])
+
+
+def blocks(rows: np.ndarray, padding: float | None = None) -> list[np.ndarray]:
+    """The rows in blocks of `BLOCK`; the last one is filled up with `padding`, or the first row."""
+    number = -(-len(rows) // BLOCK)
+    fill = rows[:1] if padding is None else np.full_like(rows[:1], padding)
+    filled = [rows, np.repeat(fill, number * BLOCK - len(rows), axis=0)]
+    return np.split(np.concatenate(filled), number)

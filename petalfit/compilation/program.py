@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import contextvars
+import os
 import threading
 import time
-from collections.abc import Callable
-from functools import cached_property
+from collections.abc import Callable, Hashable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache, cached_property
 from typing import Any, Generic, TypeVar
 
 import jax
+import numpy as np
 
-from petalfit.compilation.stopwatch import moved
-from petalfit.compilation.store import current_store, options
+from petalfit.compilation.stopwatch import moved, stage, unwatched
+from petalfit.compilation.store import current_store, is_double, options
 
 R = TypeVar("R")
 
@@ -40,6 +44,7 @@ class Program(Generic[R]):
 
     def __init__(self, function: Callable[..., R]) -> None:
         self._function = function
+        self._mapped: set[Hashable] = set()
 
     @cached_property
     def _jitted(self) -> Callable[..., R]:
@@ -54,3 +59,54 @@ class Program(Generic[R]):
                 moved(time.perf_counter() - began, "compiling")
             return result
         return store.call(self._function, args)
+
+    def map(self, calls: Sequence[tuple]) -> list[R]:
+        """The results of several calls, computed side by side; arguments differ in their values alone."""
+        double = is_double()
+
+        def call(args: tuple) -> R:
+            # Settings of jax belong to a thread.
+            with jax.enable_x64(double):
+                return jax.block_until_ready(self(*args))
+
+        def beside(args: tuple) -> R:
+            with unwatched():
+                return call(args)
+
+        leaves, structure = jax.tree.flatten(calls[0])
+        form = current_store(), structure, tuple(map(np.shape, leaves)), double
+        # The first call of a form compiles its program, or loads it, and the others find it.
+        first = [] if form in self._mapped else [call(calls[0])]
+        self._mapped.add(form)
+        rest = [
+            _workers().submit(contextvars.copy_context().run, beside, args) for args in calls[1:]
+        ]
+        return [*(first or [call(calls[0])]), *(future.result() for future in rest)]
+
+
+def prepared(function: Callable[[], object]) -> Callable[[], None]:
+    """Runs a function beside what follows, so that the programs it calls are compiled by then.
+
+    The function may use `Program.map` for single calls only: others would wait for its own worker.
+
+    Returns:
+        A function that waits until they are, and raises what went wrong.
+    """
+    double = is_double()
+
+    def run() -> None:
+        with unwatched(), jax.enable_x64(double):
+            function()
+
+    future = _workers().submit(contextvars.copy_context().run, run)
+
+    def wait() -> None:
+        with stage("compiling"):
+            future.result()
+
+    return wait
+
+
+@cache
+def _workers() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(os.cpu_count() or 1, "program")

@@ -57,6 +57,16 @@ def watched(stage: str) -> Iterator[Stopwatch]:
 
 
 @contextmanager
+def unwatched() -> Iterator[None]:
+    """Hides the stopwatch from a block, which runs in another thread than the one it measures."""
+    token = _current.set(None)
+    try:
+        yield
+    finally:
+        _current.reset(token)
+
+
+@contextmanager
 def stage(name: str) -> Iterator[None]:
     """Counts the time of a block for the stage `name`, if a stopwatch is running."""
     watch = _current.get()

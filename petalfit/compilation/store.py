@@ -61,7 +61,7 @@ class ExecutableStore:
         leaves, structure = jax.tree.flatten(args)
         forms = tuple(map(_form, leaves))
         # Objects suffice as keys within a process; the name of a file takes a hundred times as long.
-        like = function, structure, forms, _double()
+        like = function, structure, forms, is_double()
         if like not in self._loaded:
             with stage("compiling"):
                 known = _is_known(function, structure)
@@ -175,13 +175,14 @@ def _key(function: Callable, structure: Any, forms: tuple) -> str:
         str([*forms]),
         jax.default_backend(),
         os.environ.get("XLA_FLAGS", ""),
-        str(_double()),
+        str(is_double()),
     ]
     digest = hashlib.sha256("\n".join(described).encode()).hexdigest()
     return f"{function.__name__.strip('_')}-{digest[:32]}"
 
 
-def _double() -> bool:
+def is_double() -> bool:
+    """Whether jax computes in double precision, in this thread."""
     return jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
 
 

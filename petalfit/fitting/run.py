@@ -8,7 +8,7 @@ import jax
 
 from petalfit.components import Posed
 from petalfit.fitting.families.family import AbstractFamily
-from petalfit.fitting.request.checks import check_count, check_frame, check_view
+from petalfit.fitting.request.checks import check_count, check_frame, check_view, check_weights
 from petalfit.fitting.request.request import Request
 from petalfit.fitting.silhouettes.anywhere import fit_views_anywhere, in_image
 from petalfit.fitting.silhouettes.joint import fit_joint
@@ -33,11 +33,12 @@ def run(family: AbstractFamily, request: Request) -> tuple[Request, list[Iterate
     clouds = [target for target in request.targets if isinstance(target, PointCloud)]
     masks = [target for target in request.targets if isinstance(target, Silhouette)]
     for cloud in clouds:
+        check_weights(cloud)
         if request.pose != "similarity":
             check_frame(cloud, request.template, request.pose)
     if request.is_one_cloud:
         names = family.free_in(request.pose, request.free)
-        check_count(family, request.cloud, request.free if family.named_errors else ())
+        check_count(family, request.cloud, names if family.named_errors else ())
         with jax.enable_x64(True):
             ends = family.fit_cloud(request)
         return dataclasses.replace(request, free=names), ends

@@ -18,24 +18,27 @@ from petalfit.components import (
 )
 from petalfit.fitting.families.family import AbstractFamily
 from petalfit.fitting.inference import verdict
+from petalfit.fitting.inference.coverage import Coverage
 from petalfit.fitting.inference.discrepancy import discrepancy_of
 from petalfit.fitting.inference.identifiability import (
     combinations,
     covariance,
     known,
     posterior_of,
+    with_few_points,
 )
 from petalfit.fitting.inference.linear_rows import may_have_misfit, rows_of
 from petalfit.fitting.request.request import Request
 from petalfit.fitting.result import FitResult
 from petalfit.fitting.solver.iterate import Iterate
-from petalfit.observations import AbstractObservation
+from petalfit.observations import AbstractObservation, PointCloud
 from petalfit.results import (
     Agreement,
     FitWarning,
     Posterior,
     Start,
     WarningKind,
+    in_order,
     standard_errors,
 )
 from petalfit.surfaces import AbstractSurface, Pose, value_at, with_value
@@ -54,6 +57,8 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
     names = request.free if family.named_errors else ()
     declared = _declared(best.model if family.named_errors else bare(template), names)
     agreements = _agreements(request.targets, best)
+    if request.is_one_cloud and names and best.is_finite and request.noise is None:
+        best = with_few_points(best, len(names))
     finite = bool(
         all(np.isfinite(float(value_at(best.model, name))) for name in declared)
         and best.is_finite
@@ -64,7 +69,7 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
     matrix, found = np.full((len(names), len(names)), np.inf), np.zeros(len(names), bool)
     by_noise, posterior, discrepancy = matrix, None, None
     if finite and names:
-        found = known(ends, names, declared)
+        found = known(ends, names, declared, family.hidden_from(request))
         added = None
         suspect = request.is_one_cloud and may_have_misfit(best, len(names))
         turned = request.is_one_cloud and request.pose != "known"
@@ -80,7 +85,9 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
             )
         matrix = covariance(at_end, names, declared, found, added)
         by_noise = covariance(at_end, names, declared, found)
-        posterior = posterior_of(at_end, names, declared, added)
+        # From an unknown side, one outline shows no lengths: a bent surface may have the same.
+        if not (request.pose != "known" and family.hidden_from(request)):
+            posterior = posterior_of(at_end, names, declared, added)
     inflation = 1.0 if discrepancy is None else discrepancy.inflation
     identifiable = dict(zip(names, map(bool, found), strict=True))
     bounds = verdict.at_bounds(values, names, declared)
@@ -89,8 +96,16 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
     # In a fitted pose, a parameter at its bound is no sign that the model was bent to reach its target.
     strained = not in_space and any(identifiable[n] for w in bounds for n in w.parameters)
     misfits = [verdict.misfit_of(part, strained, request.noise, in_space) for part in agreements]
-    if not family.named_errors:
-        misfits = []
+    seen = _coverage(agreements, best.model) if finite else None
+    # Where a fit was stopped says nothing about the outline that it may have.
+    if seen is not None and request.is_one_cloud and best.moved <= verdict.SETTLED:
+        pattern = verdict.systematic_rms(agreements[0], bare(best.model))
+        misfits.append(verdict.misfit_of_outline(agreements[0], seen, pattern))
+    if any(misfits):
+        # The errors belong to a petal that is not there.
+        found, posterior, discrepancy = np.zeros(len(names), bool), None, None
+        matrix = by_noise = np.full((len(names), len(names)), np.inf)
+        identifiable = dict.fromkeys(names, False)
     status, reason = verdict.ending(best, finite, misfits, family.outcome(best))
     if isinstance(best.model, Posed) and in_space:
         # The poses of all ends are compared in the frame of the best one.
@@ -103,7 +118,8 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
         *verdict.not_determined(identifiable),
         *(combinations(best, names, declared, found) if finite and names else []),
         *verdict.rival_starts(starts, standard_errors(names, matrix), declared, inflation),
-        *(w for part in agreements for w in _about(part, bare(best.model), request.noise)),
+        *verdict.about_coverage(seen),
+        *(w for part in agreements for w in verdict.about_distances(part, request.noise)),
         *(verdict.systematic(agreements[0], bare(best.model)) if finite else []),
     ]
     pose, pose_stderr = Pose.identity(), {}
@@ -163,10 +179,11 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
             ),
             *verdict.symmetries(model),
         ),
-        warnings=tuple(warnings),
+        warnings=in_order(warnings),
         steps=best.rounds,
         starts=starts,
         posterior=posterior,
+        trait_errors=best.trait_errors if finite else {},
         stderr_noise=standard_errors(names, by_noise),
         discrepancy=discrepancy,
         in_image=in_image,
@@ -195,12 +212,12 @@ def _agreements(targets: Sequence[AbstractObservation], best: Iterate) -> tuple[
     )
 
 
-def _about(part: Agreement, model: AbstractSurface, noise: float | None) -> list[FitWarning]:
-    """Warnings about one target."""
-    found = verdict.about_distances(part, noise)
-    if part.uv is not None:
-        found += verdict.coverage(model, part.uv, part.used)
-    return found
+def _coverage(parts: Sequence[Agreement], model: AbstractSurface) -> Coverage | None:
+    """The coverage of a surface by all clouds together; None if masks show its outline."""
+    points = [x.target.points[x.used] for x in parts if isinstance(x.target, PointCloud)]
+    if len(points) < len(parts):
+        return None
+    return Coverage.of(model, np.concatenate(points))
 
 
 def _seen_from(end: Iterate, posed: Posed) -> Iterate:

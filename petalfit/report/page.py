@@ -24,7 +24,7 @@ from petalfit.report.tables import (
     traits_table,
 )
 from petalfit.report.viewer import fingerprint, script, viewer
-from petalfit.results import FitRecord, one_of_each
+from petalfit.results import FitRecord
 from petalfit.version import VERSION
 
 # Widths in pixels of the pictures; a pixel of the page has two of them.
@@ -92,8 +92,8 @@ def _status(result: FitRecord) -> tuple[str, str]:
     """The style and the words of the badge at the top, which states how the fit ended."""
     if not result.converged:
         return "bad", "not converged"
-    if result.warnings:
-        return "warn", f"converged, with {count(len(result.warnings), 'warning')}"
+    if doubts := result.doubts:
+        return "warn", f"converged, with {count(len(doubts), 'warning')}"
     return "good", "converged"
 
 
@@ -140,21 +140,19 @@ def _warnings(result: FitRecord) -> str:
     if result.converged and not result.warnings:
         return ""
     style = "" if result.converged else " bad"
-    items = [_grouped(what, names) for what, names in one_of_each(result.warnings)]
+    first, rest = result.doubts_in_two
     if not result.converged:
-        items.insert(0, html.escape(f"{result.status}: {result.outcome}"))
+        first.insert(0, f"{result.status}: {result.outcome}")
+    more = f"<details><summary>{len(rest)} more</summary>{_listing(rest)}</details>" if rest else ""
     heading = "Before you use these numbers"
-    listing = "".join(f"<li>{item}</li>" for item in items)
     return (
         f'<section class="warnings{style}" role="note"><strong>{heading}</strong>'
-        f"<ul>{listing}</ul></section>"
+        f"{_listing(first)}{more}</section>"
     )
 
 
-def _grouped(what: str, names: list[str]) -> str:
-    """One sentence that says the same of several parameters."""
-    codes = listed([f"<code>{html.escape(name)}</code>" for name in names])
-    return f"{'each of ' if len(names) > 1 else ''}{codes} {html.escape(what)}".lstrip()
+def _listing(sentences: list[str]) -> str:
+    return f"<ul>{''.join(f'<li>{html.escape(sentence)}</li>' for sentence in sentences)}</ul>"
 
 
 def _table_notes(result: FitRecord) -> str:

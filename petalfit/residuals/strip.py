@@ -15,13 +15,14 @@ theorem. F follows from g in closed form: with h = ∂g/∂e, the place is x = e
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import log_ndtr
 from jaxtyping import Array, Float
+from numpy.polynomial import Chebyshev, Polynomial
 
 _STEPS = 3  # Newton steps for e
 _NARROWEST = 1e-3  # half width; narrower strips count as wide
@@ -53,32 +54,38 @@ def potential(x: Float[Array, "*n"], half: Float[Array, "*n"], rho: Float[Array,
     return Potential(value, side * score, change / (1.0 - rho * change), by_width)
 
 
-@jax.custom_jvp
-def strip_potential(
-    x: Float[Array, "*n"], half: Float[Array, "*n"], rho: Float[Array, ""]
-) -> Float[Array, "*n"]:
-    """F(x; α, ρ), which autodiff differentiates once."""
-    return potential(x, half, rho).value
-
-
-@strip_potential.defjvp
-def _strip_potential_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
-    here = potential(*primals)
-    by_x, by_half, by_rho = tangents
-    tangent = here.slope * by_x + here.by_width * by_half + 0.5 * here.slope**2 * by_rho
-    return here.value, tangent
-
-
 def _strip(e: Array, half: Array) -> tuple[Array, Array, Array, Array]:
     """g, ∂g/∂e, ∂²g/∂e² and ∂g/∂α at e ≥ 0."""
     near, far = half - e, half + e  # distances inside the nearer and the farther edge
-    log_near = log_ndtr(near)
-    inside = -jnp.expm1(log_ndtr(-far) - log_near)
-    g = -log_near - jnp.log(inside)
-    near_edge, far_edge = (jnp.exp(-0.5 * x**2 + g) / np.sqrt(2 * np.pi) for x in (near, far))
+    beyond = jnp.minimum(near, 0.0)
+    # Probabilities and densities times exp(beyond²/2), which keeps them finite far beyond the edge.
+    near_edge, far_edge = (jnp.exp(0.5 * (beyond**2 - x**2)) for x in (near, far))
+    outside = _tail(jnp.abs(near))
+    inside = jnp.where(near < 0, outside, 1.0 - outside * near_edge) - _tail(far) * far_edge
+    g = 0.5 * beyond**2 - jnp.log(inside)
+    near_edge, far_edge = (x / (np.sqrt(2 * np.pi) * inside) for x in (near_edge, far_edge))
     score = near_edge - far_edge
     change = score**2 + near * near_edge + far * far_edge
     return g, score, jnp.clip(change, 0.0, 1.0), -(near_edge + far_edge)
+
+
+def _tail(x: Array) -> Array:
+    """Φ(−x) exp(x²/2) for x ≥ 0, to 1e-11: a polynomial in t = 3/(3 + x), which is smooth up to x = ∞."""
+    t, value = 3.0 / (3.0 + x), jnp.zeros_like(x)
+    for factor in _tail_factors()[::-1]:
+        value = value * t + factor
+    return t * value
+
+
+@lru_cache(maxsize=1)
+def _tail_factors() -> tuple[float, ...]:
+    """The factors of 1, t, t², … in the polynomial of `_tail`, which interpolates SciPy's function."""
+    from scipy.special import erfcx
+
+    def of(t: np.ndarray) -> np.ndarray:
+        return 0.5 * erfcx((3 / t - 3) / np.sqrt(2)) / t
+
+    return tuple(Chebyshev.interpolate(of, 16, domain=(0, 1)).convert(kind=Polynomial).coef)
 
 
 def _blurred_place(x: Array, half: Array, rho: Array) -> Array:

@@ -22,6 +22,7 @@ from petalfit.results.record import Rank as Rank
 from petalfit.results.status import Status as Status
 from petalfit.results.trait import Posterior as Posterior
 from petalfit.results.trait import Trait as Trait
+from petalfit.results.trait import errors_of as errors_of
 from petalfit.results.warning import FitWarning as FitWarning
 from petalfit.results.warning import WarningKind as WarningKind
-from petalfit.results.warning import one_of_each as one_of_each
+from petalfit.results.warning import in_order as in_order

@@ -12,11 +12,13 @@ from jaxtyping import Float64
 
 from petalfit.components import Parameter, parameters
 from petalfit.results.status import Status
-from petalfit.results.warning import FitWarning
+from petalfit.results.warning import FitWarning, in_few_words
 
 # An end is a rival if its χ² is worse by less than this. By chance alone, the best of the about 200
 # frequencies that ribs could have leads by 2 log 200.
 CLEAR_LEAD = 20.0
+# The number of doubts that are shown at once; the others wait until somebody asks.
+_FEW = 3
 # Two ends are different if a parameter differs by at least this many standard errors.
 APART = 3.0
 
@@ -88,7 +90,8 @@ class Estimate:
         status: The outcome of the fit; `status.meaning` explains it in a sentence.
         reason: The outcome of the fit in words, with its numbers.
         notes: Further facts about the result that are no reason for doubt.
-        warnings: Reasons to doubt the result, each with its kind; empty if there are none.
+        warnings: Reasons to doubt the result, each with its kind, the likeliest to matter first; empty if
+            there are none.
         steps: The number of iterations of the final solve.
         starts: The starts and what each of them reached, the best first.
         timings: Seconds spent in the stages "starts", "polishing", "errors" and "compiling"; stages that
@@ -120,9 +123,22 @@ class Estimate:
         return "; ".join([self.reason, *self.notes])
 
     @property
+    def doubts(self) -> list[str]:
+        """The warnings in few sentences, one for all that say the same about different parameters."""
+        return in_few_words(self.warnings, self.names)
+
+    @property
+    def doubts_in_two(self) -> tuple[list[str], list[str]]:
+        """The doubts that are shown at once, and the others."""
+        doubts = self.doubts
+        return doubts[:_FEW], doubts[_FEW:]
+
+    @property
     def message(self) -> str:
-        """The reason, the notes and the warnings on one line."""
-        return "; ".join([self.outcome, *self.warnings])
+        """The reason, the notes and the first of the doubts on one line."""
+        first, rest = self.doubts_in_two
+        more = [f"{len(rest)} more warning{'s' * (len(rest) > 1)}"] if rest else []
+        return "; ".join([self.outcome, *first, *more])
 
     @property
     def rivals(self) -> tuple[Start, ...]:

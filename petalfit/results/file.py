@@ -17,6 +17,7 @@ from petalfit.results.discrepancy import Discrepancy
 from petalfit.results.estimate import Start
 from petalfit.results.profile import Profile
 from petalfit.results.status import Status
+from petalfit.results.trait import TRAITS
 from petalfit.results.warning import WarningKind
 from petalfit.schema import Count, Finite, NotNegative, Positive, SchemaError
 from petalfit.surfaces import AbstractSurface, with_value
@@ -24,7 +25,7 @@ from petalfit.surfaces import AbstractSurface, with_value
 FORMAT = "petalfit.FitResult"
 VERSION = 5
 LARGEST = 2_000_000_000  # bytes
-_ROUNDING = 1e-6
+_ROUNDING = 1e-6  # a result at a bound may lie beyond it by rounding
 
 
 @dataclasses.dataclass(frozen=True)
@@ -112,6 +113,7 @@ class FitFile(msgspec.Struct, kw_only=True):
     stderr_noise: dict[str, float] = {}
     discrepancy: Discrepancy | None = None
     posterior: PosteriorOfFile | None = None
+    trait_errors: dict[str, NotNegative] = {}
     in_image: bool = False
     made_by: str = ""
     command: str = ""
@@ -161,7 +163,9 @@ def model_of(file: FitFile, kind: type[AbstractSurface]) -> AbstractSurface:
     for name, parameter in declared.items():
         value = file.values[name]
         low, high = parameter.bounds
-        if not low <= value <= high and file.status is not Status.NOT_FINITE:
+        rounding = _ROUNDING * (high - low)
+        inside = low - rounding <= value <= high + rounding
+        if not inside and file.status is not Status.NOT_FINITE:
             raise SchemaError(f"{name} is {value:g}, outside of its range ({low:g}, {high:g})")
         model = with_value(model, name, value)
     return model
@@ -231,6 +235,7 @@ def _laws(file: FitFile, model: AbstractSurface) -> Iterator[tuple[bool, str]]:
             set(own) <= set(parameters(model)) | set(Posed.similarity),
             ("the posterior names unknown parameters"),
         )
+    yield set(file.trait_errors) <= TRAITS, "trait_errors names unknown traits"
     yield set(file.pose_stderr) <= set(Posed.similarity), "pose_stderr names no parts of a pose"
     for start in file.starts:
         yield names <= set(start.values), "a start lacks a value"

@@ -64,6 +64,8 @@ class FitRecord(Estimate):
         discrepancy: The smooth part of the distances, which the model cannot follow; None if noise alone
             explains them, or if it is not estimated (masks, joint fits).
         posterior: What is known of all free parameters together; None if they have no errors.
+        trait_errors: Standard errors of the traits by name, if they follow from coefficients without a
+            name, and not from `posterior`; else empty.
         in_image: Whether a mask without a camera was fitted. The values then include the place in the
             image: scale, in pixels a unit, and shift_x and shift_y, in pixels.
         made_by: The version of petalfit that made the result.
@@ -80,6 +82,7 @@ class FitRecord(Estimate):
     stderr_noise: dict[str, float] = dataclasses.field(default_factory=dict)
     discrepancy: Discrepancy | None = None
     posterior: Posterior | None = None
+    trait_errors: dict[str, float] = dataclasses.field(default_factory=dict)
     in_image: bool = False
     made_by: str = f"petalfit {PETALFIT}"
     command: str = ""
@@ -134,7 +137,8 @@ class FitRecord(Estimate):
         if not np.isfinite(list(self.values.values())).all():
             return {}
         length = "px" if self.in_image else "unit"
-        return traits_of(self.model, float(self.pose.scale), self.posterior, length)
+        scale = float(self.pose.scale)
+        return traits_of(self.model, scale, self.posterior, length, self.trait_errors)
 
     @property
     def declared(self) -> dict[str, Parameter]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import jax
 import numpy as np
@@ -38,6 +38,7 @@ _DECLARED = {
     "cup": ("rad", "of the section at half length, from margin to margin", ""),
     "twist": ("rad", "of the surface about its midrib, from base to tip", ""),
 }
+TRAITS = frozenset(_DECLARED)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,7 +47,7 @@ class Trait:
 
     Attributes:
         value: Its value.
-        stderr: Its standard error, by the delta method; infinite if it is not known.
+        stderr: Its standard error; infinite if it is not known.
         unit: "unit" for the target's unit of length, "unit²", "rad" or "1"; "px" and "px²" for a mask
             without a camera.
         meaning: What is measured.
@@ -78,15 +79,20 @@ class Posterior:
 
 
 def traits_of(
-    model: AbstractSurface, scale: float, posterior: Posterior | None, length: str = "unit"
+    model: AbstractSurface,
+    scale: float,
+    posterior: Posterior | None,
+    length: str = "unit",
+    errors: Mapping[str, float] | None = None,
 ) -> dict[str, Trait]:
     """The traits of a sheet; none for a surface that is closed in a direction.
 
     Args:
         model: The model in its own frame.
         scale: The length of the model's unit in the target's.
-        posterior: What is known of its parameters; None for errors that are not known.
+        posterior: What is known of its parameters, for errors by the delta method; None if it is unknown.
         length: The name of the target's unit of length.
+        errors: Standard errors by name, where no posterior is known.
     """
     if not all(model.edges):
         return {}
@@ -107,21 +113,20 @@ def traits_of(
     )
     moved[1 : 1 + len(own)] += np.diag(steps)
     moved[1 + len(own) :] -= np.diag(steps)
-    found = _measured(model, own, moved, scale * np.ones(len(moved)))
-    values = found[:, 0]
-    slopes = (found[:, 1 : 1 + len(own)] - found[:, 1 + len(own) :]) / (2 * steps)
+    measured = _measured(model, own, moved, scale * np.ones(len(moved)))
+    values = measured[:, 0]
+    slopes = (measured[:, 1 : 1 + len(own)] - measured[:, 1 + len(own) :]) / (2 * steps)
     if len(own) < len(sizing):
-        powers = [unit.count("unit") * (2 if "²" in unit else 1) for unit, *_ in _DECLARED.values()]
-        slopes = np.column_stack([slopes, values * powers])
-    errors = np.full(len(values), np.inf)
+        slopes = np.column_stack([slopes, values * _powers()])
+    found = np.array([(errors or {}).get(name, np.inf) for name in _DECLARED])
     if posterior is not None:
         which = [names.index(name) for name in sizing]
         covariance = posterior.covariance[np.ix_(which, which)]
-        errors = np.sqrt(np.sum((slopes @ covariance) * slopes, axis=-1))
+        found = np.sqrt(np.sum((slopes @ covariance) * slopes, axis=-1))
     return {
         name: Trait(float(value), float(error), unit.replace("unit", length), meaning, term)
         for (name, (unit, meaning, term)), value, error in zip(
-            _DECLARED.items(), values, errors, strict=True
+            _DECLARED.items(), values, found, strict=True
         )
     }
 
@@ -147,6 +152,32 @@ def traits_of_many(
         for k in range(0, len(values), _AT_ONCE)
     ]
     return dict(zip(_DECLARED, np.concatenate(parts, axis=1), strict=True))
+
+
+def errors_of(
+    draws: AbstractSurface, scale: float, orientation: float, doubtful: float
+) -> dict[str, float]:
+    """Standard errors of the traits of a sheet, by name.
+
+    Args:
+        draws: Draws of the sheet from its posterior, a batch.
+        scale: The length of their unit in the target's.
+        orientation: The sign of the normal ∂S/∂u × ∂S/∂v on the upper side.
+        doubtful: The part of the area that is in doubt besides, half of which is that of a length.
+    """
+    # Differences between sheets need fewer places than their traits.
+    u, v = (np.ascontiguousarray(x[::2, ::2]) for x in nodes(draws.domain))
+    with jax.enable_x64(True):
+        grids = scale * np.asarray(_positions(draws, u, v), float)
+    traits = _all(measures(grids, orientation))
+    beside = 0.5 * doubtful * traits.mean(axis=1) * _powers()
+    return dict(zip(_DECLARED, np.hypot(traits.std(axis=1), beside).tolist(), strict=True))
+
+
+def _powers() -> Float[np.ndarray, " t"]:
+    """The power of the unit of length in the unit of each trait."""
+    units = [unit for unit, *_ in _DECLARED.values()]
+    return np.array([unit.count("unit") * (2 if "²" in unit else 1) for unit in units], float)
 
 
 def _measured(

@@ -2,38 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from petalfit.results.meaning import WithMeaning
 
 
 class WarningKind(WithMeaning):
-    """The kind of a warning. Each member is the string that files hold.
+    """The kind of a warning, those that matter most first. Each member is the string that files hold.
 
     Attributes:
         meaning: The explanation of the kind, in one sentence.
     """
 
     TARGET = "target", "The data are odd, or were mended when they were read."
-    NOT_DETERMINED = "not_determined", "The target does not determine a parameter."
-    AT_BOUND = "at_bound", "A parameter ended at the bound of its range."
-    COMBINATION = "combination", "Only a combination of parameters is determined."
-    RIVALS = "rivals", "Other starts ended elsewhere, almost as well."
-    FLIPS = "flips", "The parameters still move by a small part of their errors."
-    NOISE = "noise", "Distances are larger than the noise that was given."
-    OUTLIERS = "outliers", "Some points lie far beyond the typical distance."
     COVERAGE = "coverage", "Part of the surface has no data near it."
+    OUTLIERS = "outliers", "Some points lie far beyond the typical distance."
+    RIVALS = "rivals", "Other starts ended elsewhere, almost as well."
+    NOISE = "noise", "Distances are larger than the noise that was given."
     SYSTEMATIC = (
         "systematic",
         "Distances have a pattern: the model cannot follow all of the target.",
     )
-    RELATIVE_LENGTHS = "relative_lengths", "Without a camera, lengths have no unit."
     NO_PATTERN = "no_pattern", "The texture shows no pattern of the kind that was fitted."
     COUNT = "count", "Another number of petals is nearly as likely."
     LEFT_OUT = "left_out", "Some of the cloud belongs to no petal."
     CONTRAST = "contrast", "What a pattern leaves unexplained is large beside its contrast."
     COLOURS = "colours", "The texture has more than two colours and their mixtures."
+    RELATIVE_LENGTHS = "relative_lengths", "Without a camera, lengths have no unit."
+    NOT_DETERMINED = "not_determined", "The target does not determine a parameter."
+    AT_BOUND = "at_bound", "A parameter ended at the bound of its range."
+    COMBINATION = "combination", "Only a combination of parameters is determined."
+    FLIPS = "flips", "The parameters still move by a small part of their errors."
 
 
 class FitWarning(str):
@@ -92,16 +92,41 @@ class FitWarning(str):
         return cls(content["text"], content["kind"], content["parameters"])
 
 
-def one_of_each(warnings: Iterable[FitWarning]) -> Iterator[tuple[str, list[str]]]:
-    """Groups warnings that say the same about different parameters.
+_ORDER = {kind: k for k, kind in enumerate(WarningKind)}
 
-    Each group is what is said, and the names of the parameters. Warnings about no single parameter come
-    first, with an empty list.
+
+def in_order(warnings: Iterable[FitWarning]) -> tuple[FitWarning, ...]:
+    """Warnings in the order of their kinds, those that matter most first, without repetitions."""
+    return tuple(sorted(dict.fromkeys(warnings), key=lambda warning: _ORDER[warning.kind]))
+
+
+def in_few_words(warnings: Iterable[FitWarning], free: Sequence[str]) -> list[str]:
+    """The warnings in few sentences: one for all that say the same about different parameters.
+
+    Args:
+        warnings: The warnings.
+        free: Names of the free parameters, out of which those that are not determined are counted.
     """
-    of_parameters: dict[str, list[str]] = {}
-    for warning in warnings:
-        if warning.parameter is None:
-            yield warning.text, []
-        else:
-            of_parameters.setdefault(warning.about, []).append(warning.parameter)
-    yield from of_parameters.items()
+    said: dict[tuple[WarningKind, str], list[FitWarning]] = {}
+    for warning in in_order(warnings):
+        alike = warning.parameter is not None or warning.kind is WarningKind.COMBINATION
+        said.setdefault((warning.kind, "" if alike else warning.text), []).append(warning)
+    return [_in_one(kind, group, free) for (kind, _), group in said.items()]
+
+
+def _in_one(kind: WarningKind, group: list[FitWarning], free: Sequence[str]) -> str:
+    """One sentence for warnings of one kind."""
+    first, *others = group
+    if not others:
+        return first.text
+    if kind is WarningKind.COMBINATION:
+        return f"{first}, and there are {len(others)} more such combinations"
+    names = [name for warning in group for name in warning.parameters]
+    listed = f"{', '.join(names[:-1])} and {names[-1]}"
+    if kind is WarningKind.AT_BOUND:
+        return f"{listed} ended at the bounds of their ranges"
+    about = first.about.removeprefix("is ")
+    if len(names) == len(free) and set(names) == set(free):
+        return f"none of the {len(free)} parameters is {about.removeprefix('not ')}"
+    of = f" of {len(free)}" if set(names) < set(free) else ""
+    return f"{len(names)}{of} parameters are {about}: {listed}"

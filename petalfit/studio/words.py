@@ -11,7 +11,6 @@ import numpy as np
 from petalfit.fitting import FitResult
 from petalfit.report.colour import NEGATIVE, POSITIVE, ZERO, css
 from petalfit.report.rounding import measured, plain
-from petalfit.results import WarningKind
 
 _SOFT = "opacity:0.72;font-size:0.86em"
 _CELL = "padding:0.1em 0.35em;vertical-align:top"
@@ -45,11 +44,18 @@ def verdict(result: FitResult) -> str:
     if result.ranking:
         ranks = ", ".join(f"{html.escape(x.model)} {x.delta_bic:+.0f}" for x in result.ranking[1:])
         lines.append(f'<span style="{_SOFT}">ΔBIC of the others: {ranks}</span>')
-    doubts = [x.text for x in result.warnings if x.kind is not WarningKind.NOT_DETERMINED]
+    first, rest = result.doubts_in_two
     if not result.converged:
-        doubts.insert(0, f"{result.status.meaning} {result.outcome}")
-    lines += [f'<span style="{_SOFT}">⚠ {html.escape(doubt)}</span>' for doubt in doubts]
-    return _block("<br>".join(lines))
+        first.insert(0, f"{result.status.meaning} {result.outcome}")
+    lines += map(_doubt, first)
+    more = "<br>".join(map(_doubt, rest))
+    if rest:
+        more = f'<details style="{_SOFT}"><summary>{len(rest)} more</summary>{more}</details>'
+    return _block("<br>".join(lines) + more)
+
+
+def _doubt(sentence: str) -> str:
+    return f'<span style="{_SOFT}">⚠ {html.escape(sentence)}</span>'
 
 
 def table(result: FitResult) -> str:

@@ -52,12 +52,12 @@ def measures(grids: Float[np.ndarray, "k m n 3"], orientation: float = 1.0) -> M
     """Measures sheets, given their positions at `nodes`.
 
     Args:
-        grids: The positions on k sheets.
+        grids: The positions on k sheets, at these nodes or at every second of them.
         orientation: The sign of the normal ∂S/∂u × ∂S/∂v on the upper side.
     """
     rows, columns = np.diff(grids, axis=1), np.diff(grids, axis=2)
     across, along = _norm(rows), _norm(columns)
-    middle = SHAPE[0] // 2
+    middle = grids.shape[1] // 2
     midrib, stretch = grids[:, middle], along[:, middle]
     run = np.concatenate([np.zeros((len(grids), 1)), np.cumsum(stretch, axis=1)], axis=1)
     length = run[:, -1]

@@ -144,7 +144,7 @@ def test_undetermined_parameters_and_warnings_are_told(
     for quiet in [], ["--quiet"]:
         outcome = petalfit("fit", cloud_file, "--out", tmp_path / "out", *quiet)
         assert outcome.status == 0
-        assert outcome.err == "".join(f"warning: {text}\n" for text in warnings)
+        assert outcome.err == "".join(f"warning: {text}\n" for text in reversed(warnings))
         assert ("not determined" in outcome.out) == (not quiet)
 
 
@@ -163,8 +163,8 @@ def test_not_converged_is_status_3_and_files_are_there(
     outcome = petalfit("fit", cloud_file, "--out", tmp_path / "out")
     assert outcome.status == 3
     assert outcome.err == (
-        "warning: dx is not determined\n"
         "petalfit: no petal; either this, or that; the files hold what it ended with\n"
+        "warning: dx is not determined\n"
     )
     assert contents(tmp_path / "out").keys() == FILES
     assert not json.loads((tmp_path / "out/fit.json").read_text())["converged"]

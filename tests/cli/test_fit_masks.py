@@ -22,7 +22,7 @@ def test_a_mask_and_its_camera(petalfit, tmp_path):
     assert outcome.status == 0
     assert "mask of 256 × 256 pixels" in outcome.out
     assert "px (estimated); converged" in outcome.out
-    assert "warning: rib_frequency is not determined by this target" in outcome.err
+    assert "parameters are not determined by this target: rib_frequency" in outcome.err
     result = FitResult.load(tmp_path / "o/fit.json")
     assert abs(result.values["a_x"] - TRUTH["a_x"]) < 5 * result.stderr["a_x"]
     page = (tmp_path / "o/report.html").read_text()

@@ -101,7 +101,7 @@ def test_without_ribs_their_frequency_is_not_determined():
     assert not result.identifiable["rib_frequency"]
     assert result.stderr["rib_frequency"] == math.inf
     assert result.interval()["rib_frequency"] == (-math.inf, math.inf)
-    assert "rib_frequency is not determined" in result.message
+    assert "rib_frequency is not determined by this target" in result.warnings
     assert abs(result.values["a_x"] - petal.a_x) < 6 * result.stderr["a_x"]
 
 

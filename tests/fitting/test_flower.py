@@ -7,7 +7,6 @@ import pytest
 
 import petalfit as pf
 from petalfit.fitting.arrangement import Placed, arranged, axis_of, meeting_point
-from petalfit.fitting.likelihood.emptiness import ObservedEmptiness
 from petalfit.fitting.segmentation import segments_of
 from petalfit.fitting.segmentation.members import Sheet, memberships
 from petalfit.results import LayoutKind
@@ -149,8 +148,3 @@ def test_a_bush_is_refused_before_it_is_fitted() -> None:
     shifts = 3.0 * np.stack(np.meshgrid(*3 * [np.arange(4)]), axis=-1).reshape(-1, 3)
     with pytest.raises(pf.TargetError, match="separate sheets, where a flower has at most"):
         pf.fit_flower(np.concatenate([leaf + shift for shift in shifts]))
-
-
-def test_a_fit_that_loses_all_points_to_the_clutter_says_so() -> None:
-    with pytest.raises(pf.TargetError, match="all others look like clutter"):
-        ObservedEmptiness.of(np.zeros((3, 3)))

@@ -108,3 +108,15 @@ def test_a_file_of_an_earlier_version_names_the_command_that_makes_it_again(tmp_
     )
     with pytest.raises(pf.TargetError, match=r"Fit the target again: petalfit fit a\.ply --out b"):
         pf.FitResult.load(path)
+
+
+def test_weights_are_numbers_of_observations():
+    cloud = pf.PeonyPetal().sample(100, seed=1)
+    with pytest.raises(pf.TargetError, match="weights reach 1e\\+300"):
+        pf.fit_petal(pf.PointCloud(cloud.points, weights=np.full(100, 1e300)))
+
+
+def test_a_blade_needs_points_in_its_strips():
+    points = pf.BladePetal().sample(40, seed=1).points
+    with pytest.raises(pf.TargetError, match="40 points are too few for a BladePetal; give 64"):
+        pf.fit_petal(points, model=pf.BladePetal, pose="rigid")

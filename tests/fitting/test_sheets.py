@@ -17,7 +17,6 @@ from petalfit.fitting.likelihood.cloud import ObservedCloud, pad
 from petalfit.fitting.solver.iterate import Iterate
 from petalfit.fitting.solver.observer import Glimpse, looking_on
 from petalfit.fitting.starts.flatten import flatten
-from petalfit.residuals import Emptiness
 
 PETALS = Path(__file__).parents[3] / "shared" / "data" / "petals"
 TRUTH = pf.BladePetal(
@@ -68,30 +67,6 @@ def test_a_torn_sheet_is_laid_flat_too():
     flat = flat[np.abs(flat[:, 0] - 2) > 0.3]
     plane = flatten(np.column_stack([flat, np.zeros(len(flat))]))
     assert np.ptp(plane[:, 0]) == pytest.approx(4.0, rel=0.1)
-
-
-def test_emptiness_pulls_back_what_reaches_beyond_the_points():
-    """Its slopes are those of finite differences, and it is silent where there are points."""
-    with jax.enable_x64(True):
-        rectangle = pf.Rectangle(a_x=4.0, b_y=8.0)
-        rng = np.random.default_rng(0)
-        points = rng.uniform([-2, 0, 0], [2, 6, 0], (3000, 3))
-        uv = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 9), np.linspace(0, 1, 17)), -1).reshape(
-            -1, 2
-        )
-        places = np.asarray(rectangle(*uv.T))
-        _, nearest = KDTree(points).query(places)
-        given = {"uv": uv, "nearest": points[nearest], "weights": np.ones(len(uv))}
-        given |= {"slack": np.float64(0.3), "sigma": np.float64(0.5)}
-        term = Emptiness(**{name: jax.numpy.asarray(x) for name, x in given.items()})
-        _, frozen, _ = term.freeze(rectangle, 2)
-        residual = np.asarray(frozen.residual(rectangle))
-        assert (residual[uv[:, 1] < 0.75] == 0).all()
-        assert (residual[uv[:, 1] > 0.82] > 0).all()
-        where, covectors = frozen.slopes(rectangle)
-        longer = pf.Rectangle(a_x=4.0, b_y=8.0 + 1e-6)
-        change = (np.asarray(frozen.residual(longer)) - residual) / 1e-6
-        np.testing.assert_allclose(np.asarray(covectors)[:, 1] * where[:, 1], change, atol=1e-5)
 
 
 @pytest.fixture(scope="module")

@@ -10,6 +10,7 @@ import trimesh
 from jaxtyping import Array
 
 import petalfit as pf
+from petalfit.fitting.families.spline.margin import gap
 from petalfit.surfaces import Scalar, number
 
 PETAL = pf.PeonyPetal()
@@ -72,10 +73,79 @@ def test_they_are_in_the_file(known, tmp_path):
     assert pf.FitResult.load(tmp_path / "fit.json").traits == known.traits
 
 
-def test_a_spline_has_values_without_errors():
-    found = pf.fit_petal(PETAL.sample(1500, seed=1), model=pf.SplinePetal)
-    assert found.traits["area"].value == pytest.approx(found.mesh((129, 129)).area, rel=1e-3)
-    assert np.isinf(found.traits["area"].stderr)
+@pytest.fixture(scope="module")
+def spline() -> pf.FitResult:
+    return pf.fit_petal(PETAL.sample(1500, seed=1, noise=0.03), model=pf.SplinePetal)
+
+
+def test_a_spline_has_an_error_of_its_area_alone(spline, tmp_path):
+    assert spline.traits["area"].value == pytest.approx(spline.mesh((129, 129)).area, rel=1e-3)
+    known = {name for name, trait in spline.traits.items() if np.isfinite(trait.stderr)}
+    assert known == {"area"}
+    assert 0 < spline.traits["area"].stderr < 0.05 * spline.traits["area"].value
+    spline.save(tmp_path / "fit.json")
+    assert pf.FitResult.load(tmp_path / "fit.json").traits == spline.traits
+
+
+def dish() -> pf.SplinePetal:
+    offsets, x = np.zeros((10, 10, 3)), np.linspace(-1, 1, 10)
+    offsets[..., 2] = 1.5 * x**2 + 0.8 * x[:, None] ** 2
+    return pf.SplinePetal(a_x=6.0, b_y=10.0, offsets=offsets)
+
+
+def test_areas_of_splines_deviate_as_much_as_their_errors_say():
+    """Without the gap between points and margin, every one of them would be too small."""
+    area = dish().mesh((257, 257)).area
+    found = [
+        pf.fit_petal(dish().sample(1000, seed=s, noise=0.01), model=pf.SplinePetal)
+        for s in range(8)
+    ]
+    traits = [fit.traits["area"] for fit in found]
+    z = np.array([(trait.value - area) / trait.stderr for trait in traits])
+    # The mean square of eight normal deviates lies outside of these limits once in 500 times.
+    assert 0.11 < np.mean(z**2) < 3.1
+    assert abs(np.mean(z)) < 1.1
+    assert all(trait.stderr < 0.02 * area for trait in traits)
+
+
+def uneven(seed: int) -> pf.SplinePetal:
+    """A sheet with an irregular margin and relief."""
+    i, j = np.meshgrid(np.linspace(-1, 1, 10), np.linspace(0, 1, 10), indexing="ij")
+    rng = np.random.default_rng(seed)
+    offsets = 0.36 * rng.standard_normal((10, 10, 3))
+    offsets[..., 2] += 0.8 * i**2 + 1.5 * j**2 * rng.uniform(-1, 1)
+    offsets[..., 0] -= 6.0 * i * (j - 0.5) ** 2
+    offsets[..., 1] -= 4.0 * i**2 * (j - 0.4)
+    return pf.SplinePetal(a_x=6.0, b_y=10.0, offsets=offsets)
+
+
+@pytest.mark.slow
+def test_intervals_of_areas_of_splines_hold_them():
+    held = []
+    for seed in range(100):
+        sheet = uneven(seed // 10)
+        points = sheet.sample(2000, seed=seed, noise=0.012).points
+        trait = pf.fit_petal(points, model=pf.SplinePetal, pose="similarity").traits["area"]
+        held.append(abs(trait.value - sheet.mesh((257, 257)).area) < 1.96 * trait.stderr)
+    assert np.mean(held) >= 0.88
+
+
+def test_a_hole_does_not_make_a_spline_bulge():
+    points = dish().sample(3000, seed=0, noise=0.01).points
+    away = np.hypot(points[:, 0] / 3, (points[:, 1] - 5) / 5)
+    found = pf.fit_petal(points[away > 0.6], model=pf.SplinePetal).traits["area"]
+    assert found.value == pytest.approx(dish().mesh((257, 257)).area, rel=0.01)
+
+
+def test_the_gap_is_that_of_a_known_margin_and_none_where_points_lie_on_it():
+    # 20 points, each of which covers 0.01, hold edges of length 10.
+    inside = -np.random.default_rng(0).uniform(0.0, 5.0, 5000)
+    beyond = np.concatenate([np.linspace(0.001, 0.04, 20), inside])
+    outside, holding = gap(beyond, noise=1e-3, spacing=0.1, perimeter=10.0)
+    assert holding == 20
+    assert outside == pytest.approx(0.02, abs=1e-3)
+    on_the_margin = np.concatenate([np.full(100, 1e-6), np.full(100, -1e-6), inside])
+    assert gap(on_the_margin, noise=1e-3, spacing=0.1, perimeter=10.0)[0] == 0.0
 
 
 def test_what_is_no_sheet_has_none():

@@ -31,6 +31,7 @@ from petalfit.results import (
     Start,
     Status,
     WarningKind,
+    in_order,
     rivals,
     standard_errors,
 )
@@ -368,7 +369,7 @@ def _result(
         covariance=matrix,
         status=status,
         reason=reason,
-        warnings=tuple(warnings),
+        warnings=in_order(warnings),
         steps=best.rounds,
         starts=starts,
         texture=texture,

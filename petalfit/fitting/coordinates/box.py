@@ -19,9 +19,8 @@ from petalfit.fitting.coordinates.coordinates import (
 )
 from petalfit.surfaces import value_at
 
-_WIDE = (
-    4.0  # a positive parameter whose typical range spans a greater factor is taken by its logarithm
-)
+# A positive parameter whose typical range spans a greater factor is taken by its logarithm.
+_WIDE = 4.0
 
 
 class Box(eqx.Module, Generic[Model]):

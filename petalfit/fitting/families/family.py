@@ -12,6 +12,7 @@ from petalfit.fitting.likelihood.cloud import ObservedCloud
 from petalfit.fitting.likelihood.views import ObservedViews
 from petalfit.fitting.request.request import Request
 from petalfit.fitting.solver.iterate import Iterate
+from petalfit.observations import Silhouette
 from petalfit.surfaces import AbstractSurface
 
 
@@ -32,6 +33,8 @@ class AbstractFamily(abc.ABC):
         sees_outlines: Whether its models can be fitted to silhouettes, and to several targets jointly.
         finds_outliers: Whether its fits accept a loss that allows for outliers.
         named_errors: Whether its parameters are free, and have errors.
+        depth: Names of the parameters that bend its models out of a plane. A single outline, seen from an
+            unknown side, hardly shows them: they keep the template's values, and are not determined.
     """
 
     kind: ClassVar[type[AbstractSurface]]
@@ -43,6 +46,7 @@ class AbstractFamily(abc.ABC):
     sees_outlines: ClassVar[bool] = True
     finds_outliers: ClassVar[bool] = True
     named_errors: ClassVar[bool] = True
+    depth: ClassVar[tuple[str, ...]] = ()
 
     @abc.abstractmethod
     def fit_cloud(self, request: Request) -> list[Iterate]:
@@ -63,6 +67,13 @@ class AbstractFamily(abc.ABC):
         """Names that are free in a pose: the parameters that it does not make redundant, and its own."""
         redundant = self.gauges.get(pose, ())
         return (*(name for name in free if name not in redundant), *Posed.free_in(pose))
+
+    def hidden_from(self, request: Request) -> tuple[str, ...]:
+        """Names of the parameters that the targets of a request cannot show."""
+        first, *others = request.targets
+        if others or not isinstance(first, Silhouette):
+            return ()
+        return self.depth if request.pose != "known" or first.camera is None else ()
 
     def rough(self, coordinates: Coordinates) -> Coordinates:
         """Coordinates for a first, rough fit to outlines; parameters that show only later are held."""

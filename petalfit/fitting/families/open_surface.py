@@ -10,39 +10,35 @@ from typing import ClassVar, TypeVar
 import numpy as np
 from jaxtyping import Float
 
-from petalfit.compilation import stage
+from petalfit.compilation import BLOCK, prepared, stage
 from petalfit.components import Posed
 from petalfit.fitting.coordinates import Coordinates, in_doubles, with_values
 from petalfit.fitting.families.family import AbstractFamily
 from petalfit.fitting.families.polish import likelier
-from petalfit.fitting.inference.discrepancy import discrepancy_of, temperature
+from petalfit.fitting.inference.discrepancy import INDEPENDENT, discrepancy_of, temperature
 from petalfit.fitting.inference.linear_rows import may_have_misfit, rows_of
-from petalfit.fitting.likelihood.cloud import ObservedCloud, pad
+from petalfit.fitting.likelihood.sheet import Sheet
 from petalfit.fitting.outliers.scan import Scan
 from petalfit.fitting.request.checks import POSES
 from petalfit.fitting.request.request import Request, scan_of
 from petalfit.fitting.solver.all_points import with_all_points
-from petalfit.fitting.solver.debias import evaluate
-from petalfit.fitting.solver.descent import HELD, HELD_BACK, Descent, terms_of
 from petalfit.fitting.solver.iterate import Iterate
 from petalfit.fitting.solver.observer import report
-from petalfit.fitting.solver.settle import settle
+from petalfit.fitting.solver.settle import Settled, Settling, begun, settle
 from petalfit.fitting.starts.frame import NormalisedFrame
 from petalfit.observations import PointCloud
 from petalfit.surfaces import AbstractSurface, value_at
 
 # Numbers of points for the search for starts, and for rough steps.
 _SOME = 1536
-_ROUGHLY = 768
+_ROUGHLY = BLOCK
 _FOLLOWED = 2
-_ROUGH, _NEAR = 10, 10  # steps, after which the likelihood of a sheet takes over
-_FEW = 2  # steps with all points of a large cloud
-_ROUNDS = 100  # evaluations of that likelihood at most
-# A start whose χ² is worse than the best's by more than this after rough steps is not followed.
-_HOPELESS = 0.2  # of the number of points
-_SETTLED = 0.3  # √χ² of a step's gain
-_FAR = 0.012  # noise, relative to the extent, beyond which the surface may be in the wrong place
-_CLEARINGS, _AGAIN = 3, 6  # searches for outliers, and steps after each of them
+_ROUGH, _NEAR = 40, 1.0  # rough steps at most, and standard errors to their end
+_ROUNDS = 100  # evaluations of the likelihood at most
+# A start whose cost after rough steps is worse than the best by more than this, and by more than it may
+# still gain, is not followed.
+_HOPELESS = 3.0
+_CLEARINGS, _AGAIN = 3, 6  # searches for outliers, and steps before each of them
 _UNCHANGED = 0.002  # a smaller mean change of the probabilities is none
 
 
@@ -89,17 +85,12 @@ class CloudStart:
 class OpenSurfaceFamily(AbstractFamily):
     """A family whose models are open surfaces, for which a subclass finds starts.
 
-    A subclass defines its `kind`, `gauges` and `held_at_first`, and the method `starts`. Its models can
-    then be fitted in every pose, with every loss.
-
-    Attributes:
-        held_at_first: Names of parameters that rough steps hold, because they mean nothing before the
-            other parameters are nearly right.
+    A subclass defines its `kind` and `gauges`, and the method `starts`. Its models can then be fitted in
+    every pose, with every loss.
     """
 
     poses: ClassVar[tuple[str, ...]] = POSES
     takes: ClassVar[frozenset[str]] = AbstractFamily.takes | {"base"}
-    held_at_first: ClassVar[tuple[str, ...]] = ()
 
     @abc.abstractmethod
     def starts(
@@ -139,6 +130,19 @@ class OpenSurfaceFamily(AbstractFamily):
         scan, order = scan_of(request, frame, True)
         sheets, masses = scan.points[scan.likely], scan.weights[scan.likely]
         names = self.free_in(request.pose, request.free)
+        few = Sheet(sheets[:_ROUGHLY], masses[:_ROUGHLY])
+        heat = max(len(few.points) / INDEPENDENT, 1.0)
+
+        def problem(model: AbstractSurface) -> Settling:
+            return Settling.of(model, names, few, scan.noise, heat)
+
+        def foresee() -> None:
+            somewhere = request.template
+            if request.pose != "known" and not request.from_template:
+                somewhere = Posed(somewhere, np.eye(3), np.zeros(3), 1.0)
+            begun(problem(somewhere), somewhere).end()
+
+        foreseen = prepared(foresee)
         starts: list[tuple[str, AbstractSurface]] = [("given", request.template)]
         found: Sequence[CloudStart] = ()
         if not request.from_template:
@@ -150,29 +154,23 @@ class OpenSurfaceFamily(AbstractFamily):
                 every = [_with_base_near(every, frame.into(np.array([request.base]))[0])]
             found = every[:_FOLLOWED]
             starts = [(start.label, start.posed(request.pose)) for start in found]
-        some = masses[:_ROUGHLY]
-        rough = Descent.of(sheets[:_ROUGHLY], some, scan.noise, np.ones(len(some)))
-        near: list[Iterate] = []
+        foreseen()
+        near: list[Settled] = []
         for label, model in starts:
             report(f"rough steps from {label}")
-            coordinates = Coordinates.of(model, names).holding(self.held_at_first)
-            end = rough.descend(coordinates, model, _ROUGH, 3.0)
-            near.append(dataclasses.replace(end, label=label))
+            with stage("polishing"):
+                near.append(settle(begun(problem(model), model, label), _ROUGH, _NEAR))
         near.sort(key=lambda end: end.chi2)
-        beside: list[Iterate] = []
-        for start in near:
-            if start.chi2 - near[0].chi2 < _HOPELESS * len(rough.cloud.data.points):
-                report(f"approaching from {start.label}")
-                with stage("polishing"):
-                    beside.append(_beside(Coordinates.of(start.model, names), start, scan))
-        beside.sort(key=lambda end: end.chi2)
-        heat = _temperature(beside[0], names, scan)
+        # A step of √2k standard errors gains about k.
+        best = near[0].stand.cost
+        near = [end for end in near if end.stand.cost - best < _HOPELESS + end.moved**2]
+        heat = _temperature(near[0], names)
         ends: list[Iterate] = []
-        for end in beside:
+        for end in near:
             report(f"polishing from {end.label}")
             least = min((other.chi2 for other in ends), default=np.inf)
             with stage("polishing"):
-                ends.append(_settled(end, names, scan, heat, least))
+                ends.append(_settled(end, scan, heat, least))
         ends.sort(key=lambda end: end.chi2)
         if found:
             by_label = {start.label: start for start in found}
@@ -214,88 +212,52 @@ def _with_base_near(starts: Sequence[CloudStart], place: Float[np.ndarray, "3"])
     return min(starts, key=away)
 
 
-def _descended(
-    coordinates: Coordinates,
-    model: AbstractSurface,
-    scan: Scan,
-    steps: int = _NEAR,
-    held: float = HELD,
-) -> Iterate:
-    """Descends from a model; if points may be outliers, again after each search for them."""
-    points, weights, members = scan.points, scan.weights, scan.likely.astype(float)
-    descent = Descent.of(points, weights, scan.noise, members)
-    end = descent.descend(coordinates, model, steps, _SETTLED, held)
-    if scan.background is None:
-        return end
-    clearings, rounds = 0, end.rounds
-    while True:
-        model, clearings = end.model, clearings + 1
-        beside = descent.cloud.beside(coordinates, coordinates.inverse(model), terms_of(end)[0])
-        found = scan.background.mixture(model, *beside, weights, scan.noise)
-        changed, members = float(np.mean(np.abs(found.members - members))), found.members
-        descent = Descent.of(points, weights, scan.noise, members)
-        end = descent.descend(coordinates, model, _AGAIN, _SETTLED)
-        rounds += end.rounds
-        if changed < _UNCHANGED or clearings == _CLEARINGS:
-            return dataclasses.replace(end, rounds=rounds, mixture=found)
-
-
-def _beside(coordinates: Coordinates, start: Iterate, scan: Scan) -> Iterate:
-    """Brings a start beside the cloud, with some of the points first, then with all."""
-    number, model, steps = 0, start.model, _NEAR
-    if len(scan.points) > 2 * _SOME:
-        near = _descended(coordinates, model, scan.first(_SOME))
-        model, number, steps = near.model, near.rounds, _FEW
-    end = _descended(coordinates, model, scan, steps)
-    if float(terms_of(end)[0].sigma) > _FAR * np.linalg.norm(np.ptp(scan.points, axis=0)):
-        # The descent may have ended in a wrong minimum, which shorter steps may avoid.
-        other = _descended(coordinates, model, scan, steps, HELD_BACK)
-        end = min(end, other, key=lambda end: end.chi2)
-    cloud = terms_of(end)[0]
-    end = dataclasses.replace(end, rounds=number + end.rounds, terms=(cloud,))
-    return _trimmed(evaluate(coordinates, start.label, [ObservedCloud(cloud.data)], end), scan)
-
-
-def _temperature(end: Iterate, names: tuple[str, ...], scan: Scan) -> float:
-    """The temperature at which the likelihood is used, judged by the distances beside the cloud."""
+def _temperature(near: Settled, names: tuple[str, ...]) -> float:
+    """The temperature at which the likelihood is used, per point, judged near the cloud."""
+    end, sheet = near.end(), near.problem.sheet
     if not may_have_misfit(end, len(names)):
-        return 1.0
-    rows = rows_of(end, names, PointCloud(scan.points))
+        return 0.0
+    rows = rows_of(end, names, PointCloud(sheet.points))
     found = None if rows is None else discrepancy_of(rows)
     if rows is None or found is None:
-        return 1.0
-    return temperature(rows, found[1], float(np.sum(end.residuals[0].weights)))
+        return 0.0
+    total = float(np.sum(sheet.weights))
+    return temperature(rows, found[1], total) / total
 
 
-def _settled(
-    end: Iterate, names: tuple[str, ...], scan: Scan, heat: float, least: float
-) -> Iterate:
+def _settled(near: Settled, scan: Scan, heat: float, least: float) -> Iterate:
     """The stationary point of the likelihood that is reached from beside the cloud.
 
-    It is not followed further once it clearly will not reach the χ² of another end, `least`.
+    If points may be outliers, it is settled again after each search for them. It is not followed further
+    once it clearly will not reach the χ² of another end, `least`.
+
+    Args:
+        near: The end of rough steps.
+        scan: The cloud.
+        heat: The temperature per point.
+        least: The χ² of another end.
     """
-    weights, noise = end.residuals[0].weights, float(end.terms[0].sigma)
-    model, rounds = end.model, end.rounds
-    if len(scan.points) > 2 * _SOME:
+    points, weights, found = scan.points, scan.weights, None
+    members, changed, number = scan.likely.astype(float), 1.0, 0
+
+    def hot(weights: Float[np.ndarray, " n"]) -> float:
+        return max(heat * float(np.sum(weights)), 1.0)
+
+    if len(points) > 2 * _SOME:
         # Some of the points bring it within a few errors of the end that all of them have.
-        some = pad(scan.points[:_SOME], weights[:_SOME], scan.noise)
-        share = float(np.sum(weights[:_SOME]) / np.sum(weights))
-        near = settle(model, names, some, noise, max(heat * share, 1.0), _ROUNDS, end.label)
-        model, noise, rounds = near.model, float(near.terms[0].sigma), rounds + near.rounds
-    data = pad(scan.points, weights, scan.noise)
-    settled = settle(model, names, data, noise, heat, _ROUNDS, end.label, least)
-    settled = dataclasses.replace(settled, rounds=rounds + settled.rounds, mixture=end.mixture)
-    return _trimmed(settled, scan)
-
-
-def _trimmed(end: Iterate, scan: Scan) -> Iterate:
-    """The end without padding, and with the likelihood of its mixture if points may be outliers."""
-    (seen,) = end.residuals
-    assert seen.uv is not None
-    n = len(scan.points)
-    seen = seen._replace(distance=seen.distance[:n], weights=seen.weights[:n], uv=seen.uv[:n])
-    end = dataclasses.replace(end, residuals=(seen,))
-    return end if end.mixture is None else likelier(end)
+        some = weights[:_SOME] * members[:_SOME]
+        near = settle(near.with_cloud(Sheet(points[:_SOME], some), hot(some)), _ROUNDS)
+    while scan.background is not None and changed > _UNCHANGED and number < _CLEARINGS:
+        sheet = Sheet(points, weights * members)
+        near = settle(near.with_cloud(sheet, hot(sheet.weights)), _AGAIN)
+        beside = sheet.beside(near.model, near.stand.places)[:2]
+        found = scan.background.mixture(near.model, *beside, weights, scan.noise)
+        changed, members = float(np.mean(np.abs(found.members - members))), found.members
+        number += 1
+    sheet = Sheet(points, weights * members)
+    near = settle(near.with_cloud(sheet, hot(sheet.weights)), _ROUNDS, least=least)
+    end = dataclasses.replace(near.end(), mixture=found)
+    return end if found is None else likelier(end)
 
 
 def turned_over(

@@ -21,7 +21,7 @@ _FEWEST = 4  # least number of cells for every parameter
 # 2 log likelihood ratio from which on there is a field; by chance, noise alone exceeds it in 1 % of fits.
 _CLEAR = 9.0
 _SUSPECT = 1.0  # standard deviations of the squares of cell means, from which a field is looked for
-_INDEPENDENT = 100.0  # independent points that a cloud with a discrepancy counts as, at least
+INDEPENDENT = 100.0  # independent points that a cloud with a discrepancy counts as, at least
 _EXACT = 1e-7  # noise, relative to the extent, below which only rounding is left
 
 
@@ -133,7 +133,7 @@ def temperature(rows: Rows, added: Float[np.ndarray, "p p"], total: float) -> fl
     Points that a field moves together do not count as so many independent ones: −log L is divided by T,
     as in the power likelihoods of Miller and Dunson (2019). T is the lower quartile, over independent
     directions, of the factors by which the field increases variances, so that most directions remain
-    less certain than the likelihood says. A cloud counts as at least `_INDEPENDENT` points.
+    less certain than the likelihood says. A cloud counts as at least `INDEPENDENT` points.
 
     Args:
         rows: The rows of the likelihood.
@@ -144,7 +144,7 @@ def temperature(rows: Rows, added: Float[np.ndarray, "p p"], total: float) -> fl
     scales = np.outer(scale, scale)
     noise = rows.information * scales + 1e-9 * np.eye(len(scale))
     factors = 1 + eigh(added * scales, noise, eigvals_only=True)
-    return float(np.clip(np.quantile(factors, 0.25), 1.0, max(total / _INDEPENDENT, 1.0)))
+    return float(np.clip(np.quantile(factors, 0.25), 1.0, max(total / INDEPENDENT, 1.0)))
 
 
 def is_suspect(

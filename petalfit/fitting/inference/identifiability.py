@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.special import stdtrit
 
 from petalfit.components import Parameter, Posed, parameters
 from petalfit.fitting.solver.iterate import Iterate
-from petalfit.results import CLEAR_LEAD, FitWarning, Posterior, WarningKind
+from petalfit.results import CLEAR_LEAD, FitWarning, Posterior, WarningKind, quantile
 from petalfit.surfaces import AbstractSurface, value_at
 
 # A parameter is determined if its standard error is below this many standard deviations of its
 # typical range, taken as uniform.
 DETERMINED = 0.3
 _ALONE = DETERMINED / 2  # the same limit, if all other parameters were known
+_MANY = 10  # points for each parameter, from which on it hardly matters how the noise is estimated
 
 
 def sizes(model: AbstractSurface) -> list[str]:
@@ -30,6 +33,29 @@ def typical_spread(
     return np.array([np.ptp(declared[name].typical) for name in names]) / np.sqrt(12)
 
 
+def with_few_points(end: Iterate, free: int) -> Iterate:
+    """The end of a fit of one cloud, with less information if its noise is estimated from few points.
+
+    The noise is then as uncertain as Student's distribution says, whose 95 % interval is that much wider
+    than Gauss's.
+
+    Args:
+        end: The end.
+        free: The number of free parameters.
+    """
+    (seen,) = end.residuals
+    count = float(np.sum(seen.weights))
+    freedom = max(count - free, 1.0)
+    left = float(np.sum(seen.weights * seen.distance**2)) / freedom
+    wider = max(left / max(seen.noise, 1e-300) ** 2, 1.0) if count < _MANY * free else 1.0
+    factor = wider * (float(stdtrit(freedom, 0.975)) / quantile(0.95)) ** 2
+    return dataclasses.replace(
+        end,
+        information=end.information / factor,
+        score_covariance=end.score_covariance / factor,
+    )
+
+
 def known_alone(
     end: Iterate, names: Sequence[str], declared: Mapping[str, Parameter]
 ) -> Bool[np.ndarray, " p"]:
@@ -38,8 +64,8 @@ def known_alone(
     scales = np.outer(spread, spread)
     # With the typical ranges as priors nothing is singular; a standard error of q becomes q/√(1 + q²).
     identity = np.eye(len(names))
-    posterior = np.sqrt(np.diag(_sandwich(end, scales, identity)))
-    return posterior < DETERMINED / np.sqrt(1 + DETERMINED**2)
+    variance = np.diag(_sandwich(end, scales, identity))
+    return (variance > 0) & (variance < DETERMINED**2 / (1 + DETERMINED**2))
 
 
 def known_if_others_were(
@@ -51,10 +77,27 @@ def known_if_others_were(
 
 
 def known(
-    ends: Sequence[Iterate], names: Sequence[str], declared: Mapping[str, Parameter]
+    ends: Sequence[Iterate],
+    names: Sequence[str],
+    declared: Mapping[str, Parameter],
+    hidden: Sequence[str] = (),
 ) -> Bool[np.ndarray, " p"]:
-    """Whether each parameter is determined, also in view of rival ends."""
+    """Whether each parameter is determined, also in view of rival ends.
+
+    Args:
+        ends: The ends, the best first.
+        names: Names of the free parameters.
+        declared: Their declarations.
+        hidden: Names of parameters that the targets cannot show. If there are any, others that differ
+            between rival ends are not determined either.
+    """
     found = known_alone(ends[0], names, declared)
+    if hidden:
+        spread = typical_spread(names, declared)
+        likely = [ends[0], *_nearly_as_good(ends)]
+        values = np.array([[float(value_at(end.model, n)) for n in names] for end in likely])
+        found &= np.ptp(values, axis=0) < DETERMINED * spread
+        found &= ~np.isin(names, hidden)
     for name in [*_doubtful_waves(names, found, ends), *_doubtful_sizes(names, ends)]:
         found[names.index(name)] = False
     return found
@@ -93,7 +136,10 @@ def _sandwich(
     discrepancy: Float[np.ndarray, "p p"] | None = None,
 ) -> Float[np.ndarray, "p p"]:
     """The covariance under a Gaussian prior, in units of the spreads whose products are `scales`."""
-    inverse = np.linalg.inv(end.information * scales + prior)
+    matrix = end.information * scales + prior
+    # Information may span so many orders of magnitude that only a scaled matrix can be inverted.
+    scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    inverse = np.linalg.inv(matrix * np.outer(scale, scale)) * np.outer(scale, scale)
     by_noise = inverse @ (end.score_covariance * scales + prior) @ inverse
     if discrepancy is None:
         return by_noise

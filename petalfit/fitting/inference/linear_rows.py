@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from petalfit.compilation import blocks
 from petalfit.fitting.coordinates import Coordinates
 from petalfit.fitting.inference.discrepancy import CELLS, Rows, is_suspect
 from petalfit.fitting.likelihood import programs
-from petalfit.fitting.likelihood.cloud import pad
 from petalfit.fitting.likelihood.linearise import Linearisation
 from petalfit.fitting.solver.iterate import Iterate
 from petalfit.observations import PointCloud
@@ -73,15 +74,36 @@ class Linear(NamedTuple):
             some: Indices of the points that are used; they stand for the others.
         """
         share = float(np.sum(weights)) / max(float(np.sum(weights[some])), 1e-300)
-        data = pad(cloud.points[some], weights[some] * share, noise)
-        padding = np.repeat(uv[some[:1]], len(data.points) - len(some), axis=0)
-        places = np.concatenate([uv[some], padding])
         coordinates = Coordinates.of(model, tuple(names))
         t = coordinates.inverse(model)
-        here = programs.linearise(coordinates, data, t, places)
+        sigma, masses = jnp.asarray(float(noise)), blocks(weights[some] * share, 0.0)
+        data = [
+            Data(jnp.asarray(x), jnp.asarray(w), sigma)
+            for x, w in zip(blocks(cloud.points[some]), masses, strict=True)
+        ]
+        places = blocks(uv[some])
+        found = programs.linearise.map(
+            [(coordinates, part, t, near) for part, near in zip(data, places, strict=True)]
+        )
+        here = _together(found)
         slopes = np.asarray(coordinates.slopes(t))
         by_value = np.where(slopes > 0, 1 / np.where(slopes > 0, slopes, 1.0), 0.0)
-        return cls(data, places, here, by_value)
+        points, counts = (
+            jnp.concatenate(x) for x in zip(*(part[:2] for part in data), strict=True)
+        )
+        whole = Data(points, counts, sigma)
+        return cls(whole, np.concatenate(places), here, by_value)
+
+
+def _together(parts: Sequence[Linearisation]) -> Linearisation:
+    """The linearisation of several blocks of points at once."""
+    rows = {
+        name: jnp.concatenate([getattr(part, name) for part in parts])
+        for name in Linearisation._fields
+        if name not in ("sigma", "information")
+    }
+    information = jnp.sum(jnp.stack([part.information for part in parts]), axis=0)
+    return parts[0]._replace(**rows, information=information)
 
 
 def rows_of(end: Iterate, names: Sequence[str], cloud: PointCloud) -> Rows | None:

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from jaxtyping import Float
 
 from petalfit.components import Parameter
+from petalfit.fitting.inference.coverage import Coverage
 from petalfit.fitting.likelihood.scales import spread_of
 from petalfit.fitting.solver.iterate import Iterate
+from petalfit.observations import Silhouette
 from petalfit.results import (
     Agreement,
     FitWarning,
@@ -24,13 +25,21 @@ from petalfit.surfaces import AbstractSurface, is_of_revolution
 _MISFIT = 0.02
 # The same if determined parameters ended at their bounds.
 _STRAINED_MISFIT = 0.005
+_MISFIT_OF_OUTLINES = 0.01  # the same for contours of masks
+# Parts of the outline without points near it, from which the surface has another shape if that is said by
+# other signs too; if it happens in several places; and in any case.
+_BARE, _SCATTERED, _MOSTLY_BARE = 0.1, 0.25, 0.65
+_CROSSED = 0.15  # part of the outline where points go on beyond it, from which it has another shape
+# The other signs: part of the points that lie beyond this distance, and size of a pattern of distances,
+# both distances relative to the target's size.
+_SOME_BEYOND, _BEYOND, _PATTERN = 0.005, 0.01, 0.004
 _GROSS = 6.0  # in units of the noise
 _EMPTY = 0.1  # part of the surface without data, above which there is a warning
 _ROUNDING = 1e-6  # smaller distances, relative to a target's size, are rounding errors
 _MOSTLY_OUTLIERS = 0.6  # part of the points that are outliers, above which nothing was fitted
-# A fit counts as converged if its parameters still move by at most _SETTLED standard errors, with a
+# A fit counts as converged if its parameters still move by at most SETTLED standard errors, with a
 # warning if it is more than _FLIPS: points that jump between two folds may keep a fit moving for ever.
-_SETTLED, _FLIPS = 0.5, 0.2
+SETTLED, _FLIPS = 0.5, 0.2
 
 
 def ending(best: Iterate, finite: bool, misfits: Sequence[str], outcome: str) -> tuple[Status, str]:
@@ -46,7 +55,7 @@ def ending(best: Iterate, finite: bool, misfits: Sequence[str], outcome: str) ->
         return Status.NOT_FINITE, "the solver met values that are not finite"
     if any(misfits):
         return Status.MISFIT, next(filter(None, misfits))
-    if best.moved <= _SETTLED:
+    if best.moved <= SETTLED:
         return Status.CONVERGED, outcome
     return Status.ROUND_LIMIT, (
         f"not converged after {best.rounds} rounds: parameters still move by "
@@ -67,26 +76,64 @@ def misfit_of(part: Agreement, strained: bool, noise: float | None, in_space: bo
     far = part.outliers / len(part.weights)
     if far > _MOSTLY_OUTLIERS:
         return f"no petal of this model fits: it is far from {100 * far:.0f} % of the points"
-    tolerable = (_STRAINED_MISFIT if strained else _MISFIT) * size
-    rms = part.rms
     if part.unit == "px":
-        # A robust measure, because a few places are matched across a fold, far away.
-        rms = spread_of(part.distances[part.weights > 0])
-        frame = "its camera is not where it is said to be, or it has another shape"
-        tolerable = max(0.5 * tolerable, 1.0)
+        rms, tolerable = _trimmed(part), max(_MISFIT_OF_OUTLINES * size, 1.0)
+        why = "it has another shape"
+        if isinstance(part.target, Silhouette) and part.target.camera is not None:
+            why = "its camera is not where it is said to be, or it has another shape"
     else:
-        frame = (
-            "either it is not in the model's frame and unit (pose='known'), or it has another shape"
-        )
-        if in_space:
-            frame = "it has another shape, or is in another unit"
+        rms, tolerable = part.rms, (_STRAINED_MISFIT if strained else _MISFIT) * size
         tolerable = max(tolerable, 1.5 * (noise or 0.0))
+        why = "it has another shape, or is in another unit"
+        if not in_space:
+            why = "it is not in the model's frame and unit (pose='known'), or has another shape"
     if rms <= tolerable:
         return ""
     return (
         f"no petal of this model fits: distances are {100 * rms / size:.1f} % of the target's "
-        f"diagonal; {frame}"
+        f"diagonal; {why}"
     )
+
+
+def misfit_of_outline(part: Agreement, seen: Coverage, systematic: float) -> str:
+    """The reason why the surface has another outline than a cloud; "" if it may have the same.
+
+    A part of a petal may be hidden or cut off. Then the outline has no points along one stretch, and
+    everywhere else the petal fits.
+
+    Args:
+        part: The cloud with its distances from the surface.
+        seen: The parts of the surface that have no points near them.
+        systematic: Root mean square of the systematic part of the distances.
+    """
+    size = part.target.size
+    bare = f"{100 * seen.outline:.0f} % of its outline has no points near it"
+    empty = f"no petal of this model fits: {bare}"
+    if seen.outline > _MOSTLY_BARE:
+        return f"{empty}; the points have another shape"
+    if seen.scattered > _SCATTERED:
+        return f"{empty}, in several places; the points have another outline"
+    if seen.crossed > _CROSSED:
+        return (
+            f"no petal of this model fits: the points go on beyond {100 * seen.crossed:.0f} % of its "
+            "outline; they have another outline, or none"
+        )
+    if seen.outline <= _BARE:
+        return ""
+    used = np.abs(part.distances[part.used])
+    beyond = np.mean(used > max(_GROSS * spread_of(used), _BEYOND * size))
+    if beyond > _SOME_BEYOND:
+        return f"{empty}, while {100 * beyond:.1f} % of the points lie beyond it"
+    if systematic > _PATTERN * size:
+        return f"{empty}, and its distances from the points have a pattern; they have another shape"
+    return ""
+
+
+def _trimmed(part: Agreement) -> float:
+    """The root mean square distance without a twentieth: a few places are matched across a fold."""
+    distance = np.sort(np.abs(part.distances[part.weights > 0]))
+    kept = distance[: len(distance) - len(distance) // 20]
+    return float(np.sqrt(np.mean(kept**2))) if len(kept) else np.inf
 
 
 def about_targets(parts: Sequence[Agreement]) -> list[FitWarning]:
@@ -118,7 +165,7 @@ def not_determined(identifiable: Mapping[str, bool], what: str = "target") -> li
 
 def flips(best: Iterate) -> list[FitWarning]:
     """A warning if the parameters of a fit that counts as converged still move a little."""
-    if not _FLIPS < best.moved <= _SETTLED:
+    if not _FLIPS < best.moved <= SETTLED:
         return []
     return [
         FitWarning(f"parameters still move by {best.moved:.2g} standard errors", WarningKind.FLIPS)
@@ -179,19 +226,22 @@ def systematic(part: Agreement, model: AbstractSurface) -> list[FitWarning]:
     return found.warnings()
 
 
-def coverage(
-    model: AbstractSurface, uv: Float[np.ndarray, "n 2"], used: np.ndarray
-) -> list[FitWarning]:
-    """A warning if some of 4 × 4 parts of the domain have no data."""
-    (u_low, u_high), (v_low, v_high) = model.domain
-    some = np.flatnonzero(used)
-    # In a direction without edges the surface is closed, and foot points are taken modulo the period.
-    low, high = np.array(model.domain).T
-    around = low + (uv[some] - low) % (high - low)
-    u, v = np.where(model.edges, uv[some], around).T
-    counts, *_ = np.histogram2d(u, v, bins=4, range=[[u_low, u_high], [v_low, v_high]])
-    empty = np.count_nonzero(counts == 0) / counts.size
-    if empty <= _EMPTY or len(some) < 8 * counts.size:
+def systematic_rms(part: Agreement, model: AbstractSurface) -> float:
+    """Root mean square of the part of a cloud's distances that has a pattern on the surface."""
+    found = part.misfit(model.domain)
+    return 0.0 if found is None else part.rms * float(np.sqrt(found.systematic))
+
+
+def about_coverage(seen: Coverage | None) -> list[FitWarning]:
+    """A warning if a part of the surface has no points near it."""
+    if seen is None or seen.area <= _EMPTY:
         return []
-    text = f"{100 * empty:.0f} % of the surface has no data; there it is extrapolated"
+    text = f"{100 * seen.area:.0f} % of the surface has no data near it"
+    if seen.outline <= _BARE:
+        text = f"{text}; there it is extrapolated"
+    else:
+        text = (
+            f"{text}, nor has {100 * seen.outline:.0f} % of its outline: if no part of the petal was "
+            "hidden or cut off, it has another shape"
+        )
     return [FitWarning(text, WarningKind.COVERAGE)]

@@ -1,90 +1,62 @@
-"""The likelihood of empty places: a surface that was scanned has points near all of its places."""
+"""The cost of an outline that encloses empty places.
+
+A stretch dl of the outline whose nearest point is at a distance g costs ρ dl (g − 2/√ρ)³/6τ², where ρ
+is the density of the points and τ the blur of the edges: every empty place inside counts like a point at
+that distance beyond the edge. Where the outline follows the points, hardly any place of it is that far
+from one.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial import KDTree
 
-from petalfit.fitting.coordinates import Coordinates
-from petalfit.fitting.likelihood.observed import (
-    AbstractObserved,
-    Residuals,
-    ScoreAndInformation,
-)
-from petalfit.fitting.likelihood.quadrature import Quadrature
-from petalfit.observations import TargetError
-from petalfit.residuals import AbstractTerm, Emptiness
-from petalfit.surfaces import AbstractSurface
+from petalfit.fitting.likelihood.scales import spacing
+from petalfit.fitting.likelihood.spans import border_weights
 
-_SLACK = 1.5  # spacings of the points
-_FEWEST = 7  # points whose spacing can be told
+_SLACK = 2.0  # spacings of the points, up to which no place of the outline is empty
 
 
-def spacing(tree: KDTree) -> float:
-    """The typical spacing of points on a surface: the side of the square that one point covers."""
-    # The disc that reaches to the sixth neighbour has the area of six and a half points.
-    sixth = np.median(np.asarray(tree.query(tree.data, 7)[0])[:, 6])
-    return float(sixth * np.sqrt(np.pi / 6.5))
-
-
-@dataclasses.dataclass(frozen=True)
-class ObservedEmptiness(AbstractObserved):
-    """The cost of places of the surface that have no points near them.
+@dataclasses.dataclass(frozen=True, eq=False)
+class Emptiness:
+    """The points of a cloud, as the cost of an outline needs them.
 
     Attributes:
         tree: The tree of the points.
-        slack: The distance from the nearest point up to which a place costs nothing.
+        spacing: Their typical spacing, 1/√ρ.
+        rate: ρ dl of the places on the outline; the outline is taken as that of a square.
     """
 
     tree: KDTree
-    slack: float
+    spacing: float
+    rate: Float[np.ndarray, " k"]
 
     @classmethod
-    def of(cls, points: Float[np.ndarray, "n 3"]) -> ObservedEmptiness:
-        if len(points) < _FEWEST:
-            raise TargetError(
-                f"only {len(points)} of the points seem to belong to one surface, and all others look like "
-                "clutter; if they are none, use loss='linear', else crop the cloud to the petal."
-            )
-        tree = KDTree(points)
-        return cls(tree, _SLACK * spacing(tree))
+    def of(cls, points: Float[np.ndarray, "n 3"], weights: Float[np.ndarray, " n"]) -> Emptiness:
+        """The points that most likely belong to the surface."""
+        tree = KDTree(points[weights > 0.5 * np.max(weights)])
+        apart = spacing(tree)
+        return cls(tree, apart, np.sqrt(np.sum(weights)) * border_weights() / apart)
 
-    def match(self, model: AbstractSurface, term: AbstractTerm | None) -> Emptiness:
-        return self.around(model)[0]
+    def cost(
+        self, outline: Float[np.ndarray, "k 3"], moved: Float[np.ndarray, "3 k p"], tau: float
+    ) -> tuple[float, Float[np.ndarray, " p"], Float[np.ndarray, "p p"]]:
+        """The cost, its gradient and its information. By log τ it changes by −2 times itself.
 
-    def around(self, model: AbstractSurface) -> tuple[Emptiness, Quadrature, float]:
-        """The term, the nodes on the surface that it is made of, and twice its cost for a noise of 1."""
-        nodes = Quadrature.of(model)
-        gap, nearest = map(np.asarray, self.tree.query(nodes.places))
-        weights = self.tree.n * nodes.area.ravel() / nodes.area.sum()
-        term = Emptiness(
-            uv=jnp.asarray(nodes.uv),
-            nearest=jnp.asarray(self.tree.data[nearest]),
-            weights=jnp.asarray(weights),
-            slack=jnp.asarray(self.slack),
-            sigma=jnp.asarray(self.slack),
+        Args:
+            outline: Places on the outline.
+            moved: Their derivatives by the coordinates.
+            tau: The blur of the edges.
+        """
+        gap, index = self.tree.query(outline)
+        away = (outline - self.tree.data[index]) / np.maximum(gap, 1e-300)[:, None]
+        excess, rate = np.maximum(gap - _SLACK * self.spacing, 0.0), self.rate / tau**2
+        by_z = np.einsum("ki,ikp->kp", away, moved)
+        return (
+            float(np.sum(rate * excess**3) / 6),
+            by_z.T @ (0.5 * rate * excess**2),
+            (by_z.T * (rate * excess)) @ by_z,
         )
-        return term, nodes, float(np.sum(weights * np.maximum(gap - self.slack, 0.0) ** 2))
-
-    def misfit(self, model: AbstractSurface) -> float:
-        return 0.0
-
-    def information(
-        self, coordinates: Coordinates, t: np.ndarray, term: AbstractTerm
-    ) -> tuple[np.ndarray, float]:
-        return np.zeros((len(t), len(t))), float(term.sigma)
-
-    def score_and_information(
-        self, coordinates: Coordinates, t: np.ndarray, term: AbstractTerm
-    ) -> ScoreAndInformation:
-        nothing = np.zeros((len(t), len(t)))
-        return ScoreAndInformation(term, nothing, np.zeros(len(t)), nothing)
-
-    def residuals(
-        self, coordinates: Coordinates, t: np.ndarray, term: AbstractTerm
-    ) -> list[Residuals]:
-        return []

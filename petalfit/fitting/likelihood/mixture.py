@@ -11,6 +11,7 @@ from scipy.special import log_ndtr
 _ITERATIONS = 30
 _FEWEST = 0.05  # least share of the points that belong to the surface
 _SOME = 1e-3  # least share of the points that do not: a cloud is never known to be clean
+_FLATTEST = 0.1  # least side of the box of the clutter, relative to the longest
 
 
 def blurred_area(area: float, sigma: float) -> float:
@@ -76,7 +77,11 @@ def mixture(
 
 
 def box_volume(points: Float[np.ndarray, "n 3"]) -> float:
-    """The volume of the box around points, along their principal axes."""
+    """The volume of the box around points, along their principal axes.
+
+    The box is not flat: in the one around a flat sheet, clutter would be as likely as the sheet itself.
+    """
     centred = points - points.mean(axis=0)
     _, axes = np.linalg.eigh(centred.T @ centred)
-    return float(np.prod(np.ptp(centred @ axes, axis=0)))
+    sides = np.ptp(centred @ axes, axis=0)
+    return float(np.prod(np.maximum(sides, _FLATTEST * sides.max())))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial import KDTree
 
 
 def spread_of(distance: Float[np.ndarray, "..."]) -> float:
@@ -16,3 +17,10 @@ def geman_mcclure(
 ) -> Float[np.ndarray, "..."]:
     """Weights of the kernel r²/(1 + r²) of Geman and McClure (1987), with r in units of the scale."""
     return 1 / (1 + (distance / scale) ** 2) ** 2
+
+
+def spacing(tree: KDTree) -> float:
+    """The typical spacing of points on a surface: the side of the square that one point covers."""
+    # The disc that reaches to the sixth neighbour has the area of six and a half points.
+    sixth = np.median(np.asarray(tree.query(tree.data, 7)[0])[:, 6])
+    return float(sixth * np.sqrt(np.pi / 6.5))

@@ -10,53 +10,158 @@ a place is the nearest one, and across an edge the density falls like Φ(−e). 
 the noise σ where the outline follows the points, and wider where it cannot: with τ = σ, an outline of
 another shape would grow until it encloses all points.
 
+An outline that cannot follow the points must neither cut many off nor enclose much that is empty: the
+cost of `petalfit.fitting.likelihood.emptiness` is added.
+
 The least value over the places is smooth, and its derivatives are those at fixed places. A stationary
-point can therefore be recognised.
+point can therefore be recognised. Points go through in blocks of one size, so that a cloud of any size
+needs the same two programs.
 """
 
 from __future__ import annotations
 
+import dataclasses
+from functools import cached_property
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from petalfit.compilation import Program
+from petalfit.compilation import Program, blocks
 from petalfit.fitting.coordinates import Box
-from petalfit.residuals import (
-    Data,
-    least_places,
-    potential,
-    strip_potential,
-)
+from petalfit.fitting.likelihood import programs
+from petalfit.fitting.likelihood.emptiness import Emptiness
+from petalfit.fitting.likelihood.spans import Spans, between, by_coordinates, spans_of
+from petalfit.residuals import frame, least_places, potential, slide_foot_points
 from petalfit.surfaces import AbstractSurface, position_and_tangents
 
 NUISANCES = 2  # coordinates after those of the parameters: log σ and log τ/σ
-_ACROSS, _ALONG = 13, 33  # nodes in u and v, for widths and the area
-_BEYOND = 0.25  # how far places may lie beyond the domain, in its sides
 STEPS, SEARCH = 2, 5  # Newton steps of the places in an evaluation, and in a search
-_SLOW = 20  # Newton steps of the few places that still move
+_BEYOND = 0.25  # how far places may lie beyond the domain, in its sides
 _LOOSEST = 0.98  # the greatest ρ = σ²/τ² in the potential of the edges
 
 
 class SheetCost(NamedTuple):
-    """The cost −log L of a cloud at given coordinates z, and its derivatives.
+    """The cost −log L of a cloud, or of a block of it, at coordinates z, and its derivatives.
 
     Attributes:
         cost: −log L, up to a constant.
         gradient: Its derivative by z, shape (q,).
         information: Its Gauss-Newton Hessian, with the places eliminated, shape (q, q).
         places: The places (u, v) of the points, shape (n, 2).
+        following: The derivatives of the places by z, shape (n, 2, q).
         each: The cost of every point, without what is common to all, shape (n,).
     """
 
-    cost: Float[Array, ""]
-    gradient: Float[Array, " q"]
-    information: Float[Array, "q q"]
-    places: Float[Array, "n 2"]
-    each: Float[Array, " n"]
+    cost: Float[Array | np.ndarray, ""]
+    gradient: Float[Array | np.ndarray, " q"]
+    information: Float[Array | np.ndarray, "q q"]
+    places: Float[Array | np.ndarray, "n 2"]
+    following: Float[Array | np.ndarray, "n 2 q"]
+    each: Float[Array | np.ndarray, " n"]
+
+
+_SUMS, _ROWS = SheetCost._fields[:3], SheetCost._fields[3:]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Sheet:
+    """The likelihood of a cloud. Call its methods inside `jax.enable_x64(True)`.
+
+    Attributes:
+        points: The points, shape (n, 3).
+        weights: The number of observations that each point counts for, shape (n,).
+    """
+
+    points: Float[np.ndarray, "n 3"]
+    weights: Float[np.ndarray, " n"]
+
+    def cost(
+        self,
+        box: Box,
+        z: Float[np.ndarray, " q"],
+        places: Float[np.ndarray, "m 2"],
+        steps: int,
+    ) -> SheetCost:
+        """The cost of the cloud and its derivatives.
+
+        Args:
+            box: The free parameters.
+            z: Coordinates of the free parameters, log σ and log τ/σ.
+            places: Starts of the places (u, v) of all points, with those of the padding.
+            steps: The number of Newton steps of the places: `STEPS` from good starts, else `SEARCH`.
+        """
+        spans, slopes, outline, moved = spans_of(box, z[:-NUISANCES])
+        parts = zip(self._blocks, self._weights, blocks(places), strict=True)
+        calls = [(box, spans, slopes, *part, z, uv, steps) for *part, uv in parts]
+        found = [SheetCost(*map(np.asarray, part)) for part in _block_cost.map(calls)]
+        cost, gradient, information = (
+            np.sum([getattr(part, name) for part in found], axis=0) for name in _SUMS
+        )
+        tau = float(np.exp(np.sum(z[-NUISANCES:])))
+        empty = self._emptiness.cost(np.asarray(outline), np.asarray(moved), tau)
+        gradient += np.append(empty[1], np.full(NUISANCES, -2 * empty[0]))
+        information[:-NUISANCES, :-NUISANCES] += empty[2]
+        information[-NUISANCES:, -NUISANCES:] += 4 * empty[0]
+        rows = (np.concatenate([getattr(part, name) for part in found]) for name in _ROWS)
+        return SheetCost(cost + empty[0], gradient, information, *rows)
+
+    def nearest(self, surface: AbstractSurface) -> Float[np.ndarray, "m 2"]:
+        """Coarse places of all points and of the padding: the nearest of 17 × 17 nodes."""
+        calls = [(surface, points) for points in self._blocks]
+        return np.concatenate([np.asarray(uv) for uv in programs.nearest.map(calls)])
+
+    def spread(self, surface: AbstractSurface, places: Float[np.ndarray, "m 2"]) -> float:
+        """The root mean square distance of the points from places on a surface."""
+        calls = zip(self._blocks, blocks(places), strict=True)
+        apart = programs.distances.map([(surface, *pair) for pair in calls])
+        square = np.concatenate([np.asarray(part) for part in apart])[: len(self.points)] ** 2
+        return float(np.sqrt(np.average(square, weights=self.weights) + 1e-300))
+
+    def beside(
+        self, surface: AbstractSurface, places: Float[np.ndarray, "m 2"]
+    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, "n 2"]]:
+        """Signed normal distances, distances beyond the edge (negative inside), and foot points.
+
+        Args:
+            surface: The surface.
+            places: Places near the foot points, with those of the padding.
+        """
+        calls = zip(self._blocks, blocks(places), strict=True)
+        found = _beside.map([(surface, *pair) for pair in calls])
+        rows = (np.concatenate([np.asarray(x) for x in part]) for part in zip(*found, strict=True))
+        distance, beyond, uv = (row[: len(self.points)] for row in rows)
+        return distance, beyond, uv
+
+    @cached_property
+    def _emptiness(self) -> Emptiness:
+        return Emptiness.of(self.points, self.weights)
+
+    @cached_property
+    def padded_weights(self) -> Float[np.ndarray, " m"]:
+        """The weights, and zeros for the padding."""
+        return np.concatenate(self._weights)
+
+    @cached_property
+    def _blocks(self) -> list[np.ndarray]:
+        return blocks(self.points)
+
+    @cached_property
+    def _weights(self) -> list[np.ndarray]:
+        return blocks(self.weights, 0.0)
+
+
+def _distances_beside(
+    surface: AbstractSurface, points: Float[Array, "n 3"], places: Float[Array, "n 2"]
+) -> tuple[Float[Array, " n"], Float[Array, " n"], Float[Array, "n 2"]]:
+    low, high = (jnp.asarray(side, float) for side in zip(*surface.domain, strict=True))
+    uv = slide_foot_points(surface, points, jnp.clip(places, low, high), SEARCH)
+    here = frame(surface, uv)
+    return here.distance(points), jnp.max(here.beyond(points), axis=-1), uv
+
+
+_beside = Program(_distances_beside)
 
 
 class _Noise(NamedTuple):
@@ -72,287 +177,153 @@ class _Noise(NamedTuple):
         return cls(sigma, sigma * jnp.exp(z[-1]), _LOOSEST * jnp.exp(-2 * z[-1]))
 
 
-class Spans(NamedTuple):
-    """The size of a surface between its edges.
+class _Strips(NamedTuple):
+    """The strips across and along at some places, in units of τ, with derivatives by the places.
 
     Attributes:
-        across: The width between the u edges at nodes of v, at right angles to them, shape (_ALONG,).
-        along: The width between the v edges at nodes of u, shape (_ACROSS,).
-        area: The area.
+        x: Distances of the places from the middle of both strips, shape (2, n).
+        half: Half the widths of the strips there, shape (2, n).
+        by_place: Derivatives of x by (u, v), shape (2, n, 2).
+        widening: Derivatives of `half` by (u, v), shape (2, n, 2).
+        share: Distances from the middle, as fractions of the widths, shape (2, n).
     """
 
-    across: Float[Array, " n_v"]
-    along: Float[Array, " n_u"]
-    area: Float[Array, ""]
+    x: Float[Array, "2 n"]
+    half: Float[Array, "2 n"]
+    by_place: Float[Array, "2 n 2"]
+    widening: Float[Array, "2 n 2"]
+    share: Float[Array, "2 n"]
 
     @classmethod
-    def of(cls, surface: AbstractSurface) -> Spans:
-        (u, u_weights), (v, v_weights) = _nodes(_ACROSS), _nodes(_ALONG)
-        (u_low, u_high), (v_low, v_high) = surface.domain
-        grid = np.meshgrid(
-            u_low + (u_high - u_low) * u, v_low + (v_high - v_low) * v, indexing="ij"
-        )
-        _, (by_u, by_v) = position_and_tangents(surface, *map(jnp.asarray, grid))
-        element = _norm(jnp.cross(by_u, by_v)) * (u_high - u_low) * (v_high - v_low)
-        across = u_weights @ (element / (_norm(by_v) * (v_high - v_low)))
-        along = (element / (_norm(by_u) * (u_high - u_low))) @ v_weights
-        area = u_weights @ element @ v_weights
-        return cls(jnp.asarray(across), jnp.asarray(along), jnp.asarray(area))
+    def of(
+        cls, model: AbstractSurface, spans: Spans, tau: Array, places: Float[Array, "n 2"]
+    ) -> _Strips:
+        low, high = (jnp.asarray(side, float) for side in zip(*model.domain, strict=True))
+        u, v = jnp.unstack((places - low) / (high - low), axis=1)
+        across, wider = between(spans.across, v)
+        along, longer = between(spans.along, u)
+        none, widths = jnp.zeros_like(u), jnp.stack([across, along])
+        share = jnp.stack([u, v]) - 0.5
+        widening = jnp.stack([jnp.stack([none, wider], -1), jnp.stack([longer, none], -1)])
+        own = jnp.stack([jnp.stack([across, none], -1), jnp.stack([none, along], -1)])
+        unit = tau * (high - low)
+        by_place = (own + share[..., None] * widening) / unit
+        return cls(share * widths / tau, 0.5 * widths / tau, by_place, 0.5 * widening / unit, share)
 
-    def strips(
-        self, places: Float[Array, "n 2"]
-    ) -> tuple[Float[Array, "2 n"], Float[Array, "2 n"]]:
-        """Distances of places from the middle of the strips across and along, and their half widths.
+    @property
+    def side(self) -> Float[Array, "2 n"]:
+        """The side of the nearer edge: −1 or 1."""
+        return jnp.where(self.x < 0, -1.0, 1.0)
 
-        Args:
-            places: Places as fractions of the domain's sides.
-        """
-        u, v = places[:, 0], places[:, 1]
-        widths = jnp.stack([_between(self.across, v), _between(self.along, u)])
-        return (jnp.stack([u, v]) - 0.5) * widths, 0.5 * widths
-
-
-def _nodes(number: int) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes from 0 to 1, denser towards the ends, and the weights of integrals from 0 to 1."""
-    turn = np.pi * np.arange(number) / (number - 1)
-    # Clenshaw and Curtis: integrals of Chebyshev polynomials, which values at the nodes determine.
-    order = np.arange(number)
-    integrals = np.where(order % 2 == 0, 1.0 / (1.0 - order**2 + (order % 2)), 0.0)
-    half = np.where((order == 0) | (order == number - 1), 0.5, 1.0)
-    weights = 2 / (number - 1) * half * (np.cos(np.outer(turn, order)) @ (half * integrals))
-    return 0.5 - 0.5 * np.cos(turn), weights
+    @property
+    def beyond(self) -> Float[Array, "2 n 2"]:
+        """Derivatives of the distance beyond the nearer edge by (u, v), times the side."""
+        return self.by_place - self.side[..., None] * self.widening
 
 
-def _between(values: Float[Array, " m"], place: Float[Array, " n"]) -> Float[Array, " n"]:
-    """Cubic interpolation between values at `_nodes`; constant beyond the ends."""
-    number = len(values)
-    inside = jnp.clip(place, 1e-9, 1.0 - 1e-9)
-    # In the angle of the nodes they are evenly spaced, and a smooth function is even at both ends.
-    t = jnp.arccos(1.0 - 2.0 * inside) * ((number - 1) / np.pi)
-    k = jnp.clip(jnp.floor(t).astype(int), 0, number - 2)
-    r = t - k
-    before, after = values[jnp.abs(k - 1)], values[number - 1 - jnp.abs(number - 1 - (k + 2))]
-    here, there = values[k], values[k + 1]
-    slope, next_slope = 0.5 * (there - before), 0.5 * (after - here)
-    change = there - here
-    return here + r * (
-        slope + r * (3 * change - 2 * slope - next_slope + r * (slope + next_slope - 2 * change))
-    )
-
-
-def _norm(vectors: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
-    return jnp.sqrt(jnp.sum(vectors**2, axis=-1) + 1e-300)
-
-
-def _fractions(surface: AbstractSurface, uv: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
-    """Places as fractions of the domain's sides."""
-    low, high = (jnp.asarray(side, float) for side in zip(*surface.domain, strict=True))
-    return (uv - low) / (high - low)
-
-
-def _sheet_cost(
+def _cost(
     box: Box,
-    data: Data,
+    spans: Spans,
+    slopes: Spans,
+    points: Float[Array, "n 3"],
+    weights: Float[Array, " n"],
     z: Float[Array, " q"],
     places: Float[Array, "n 2"],
     steps: int | Int[Array, ""],
 ) -> SheetCost:
-    """The cost of a cloud and its derivatives.
+    """The cost of a block and its derivatives. See `Sheet.cost`.
 
-    Args:
-        box: The free parameters.
-        data: The cloud.
-        z: Coordinates of the free parameters, log σ and log τ/σ.
-        places: Starts of the places (u, v).
-        steps: The number of Newton steps of the places: `STEPS` from good starts, else `SEARCH`.
+    The information is the sum over all points of A_zz − A_zp A_pp⁻¹ A_pz, where A = JᵀJ has a row for
+    each component of S/σ, and one for each strip, √F'' times the distance beyond its nearer edge.
     """
-    own = z[:-NUISANCES]
-    model, roots = box.model(own), jnp.sqrt(data.weights)
-    places = _settled(model, data, _Noise.of(z), places, steps)
-    here, tangents = position_and_tangents(model, places[:, 0], places[:, 1])
-    gap = here - data.points
-    moved = _by_coordinates(box, own, places)
+    own, noise = z[:-NUISANCES], _Noise.of(z)
+    model = box.model(own)
+    places = _settled(model, spans, noise, points, places, steps)
+    position, tangents = position_and_tangents(model, places[:, 0], places[:, 1])
+    gap, strips = (position - points) / noise.sigma, _Strips.of(model, spans, noise.tau, places)
+    here = potential(strips.x, strips.half, noise.rho)
     square = jnp.sum(gap**2, axis=-1)
-    squares = jnp.sum(data.weights * square)
+    each = 0.5 * square + jnp.sum(here.value, axis=0)
+    total = jnp.sum(weights)
+    cost = jnp.sum(weights * each) + total * (jnp.log(noise.sigma) + jnp.log(spans.area))
 
-    def rest(z: Array) -> tuple[Array, Array]:
-        """The cost as a function of widths, area and noise alone, at fixed positions of the places."""
-        spans, noise = Spans.of(box.model(z[:-NUISANCES])), _Noise.of(z)
-        each = 0.5 * square / noise.sigma**2 + _edges(model, spans, noise, places)
-        constant = jnp.log(noise.sigma) + jnp.log(spans.area)
-        return jnp.sum(data.weights * (each + constant)), each
+    moved = by_coordinates(box, own, places) / noise.sigma
+    u, v = strips.share + 0.5
+    widened = jnp.stack([between(slopes.across, v)[0], between(slopes.along, u)[0]]) / noise.tau
+    stretched = jnp.sum(here.slope * strips.x + here.by_width * strips.half, axis=0)
+    firmer = jnp.sum(here.slope**2, axis=0) * noise.rho
+    pull = here.slope * strips.share + 0.5 * here.by_width
+    gradient = jnp.concatenate(
+        [
+            jnp.einsum("n,ni,inp->p", weights, gap, moved)
+            + jnp.einsum("n,kn,knp->p", weights, pull, widened)
+            + total * slopes.area / spans.area,
+            jnp.stack(
+                [
+                    total - jnp.sum(weights * (square + stretched)),
+                    -jnp.sum(weights * (stretched + firmer)),
+                ]
+            ),
+        ]
+    )
 
-    (value, each), gradient = jax.value_and_grad(rest, has_aux=True)(z)
-    sigma = _Noise.of(z).sigma
-    pulled = jnp.einsum("n,ni,inp->p", data.weights, gap, moved) / sigma**2
-    gradient = gradient.at[:-NUISANCES].add(pulled)
-    both = _Linear(moved * roots[:, None], jnp.swapaxes(tangents, 1, 2) * roots, squares)
-    return SheetCost(value, gradient, _information(box, data, z, places, both), places, each)
+    root = jnp.sqrt(here.curvature)
+    # The distance beyond the nearer edge is proportional to the width of the strip, and to 1/τ.
+    beyond = strips.side * strips.x - strips.half
+    edges = (strips.share - 0.5 * strips.side)[..., None] * widened
+    blur = jnp.broadcast_to((-strips.side * beyond)[..., None], (*beyond.shape, NUISANCES))
+    edges = jnp.concatenate([edges, blur], axis=-1) * root[..., None]
+    none = jnp.zeros((*moved.shape[:2], NUISANCES))
+    by_z = jnp.concatenate([jnp.concatenate([moved, none], axis=-1), edges])
+    across = strips.beyond * root[..., None]
+    by_p = jnp.concatenate([tangents.transpose(2, 1, 0) / noise.sigma, across])
+    a_pp = jnp.einsum("kni,knj->nij", by_p, by_p)
+    a_pz = jnp.einsum("kni,knq->niq", by_p, by_z)
+    following = -_inverse(a_pp) @ a_pz
+    weighted = by_z * jnp.sqrt(weights)[:, None]
+    rows = weighted.reshape(-1, by_z.shape[-1])
+    bound, answer = (x.reshape(-1, x.shape[-1]) for x in (a_pz, weights[:, None, None] * following))
+    information = rows.T @ rows + bound.T @ answer
+    # What the squares leave out: σ and τ change twice what they change.
+    twice = jnp.sum(weights * jnp.sum(here.slope * strips.side * jnp.maximum(beyond, 0.0), axis=0))
+    information = information.at[-2:, -2:].add(twice)
+    information = information.at[-2, -2].add(2 * jnp.sum(weights * square))
+    return SheetCost(cost, gradient, information, places, following, each)
 
 
-def _edges(
-    model: AbstractSurface, spans: Spans, noise: _Noise, places: Float[Array, "n 2"]
-) -> Float[Array, " n"]:
-    """The potential of the edges at every place."""
-    x, half = spans.strips(_fractions(model, places))
-    return jnp.sum(strip_potential(x / noise.tau, half / noise.tau, noise.rho), axis=0)
+_block_cost = Program(_cost)
 
 
 def _settled(
     model: AbstractSurface,
-    data: Data,
+    spans: Spans,
     noise: _Noise,
+    points: Float[Array, "n 3"],
     places: Float[Array, "n 2"],
     steps: int | Int[Array, ""],
 ) -> Float[Array, "n 2"]:
     """The places of least cost of all points, near given ones."""
-    spans = Spans.of(model)
+
+    def expand(places: Array) -> tuple[Array, Array, Array]:
+        """The cost of every point at its place, with the gradient and the Hessian by the place."""
+        position, tangents = position_and_tangents(model, places[:, 0], places[:, 1])
+        gap, tangents = (position - points) / noise.sigma, tangents / noise.sigma
+        strips = _Strips.of(model, spans, noise.tau, places)
+        here = potential(strips.x, strips.half, noise.rho)
+        slope = here.slope[..., None] * strips.by_place
+        slope = slope + here.by_width[..., None] * strips.widening
+        # Near an edge F depends on the distance beyond it alone; and Gauss-Newton for the rest, because
+        # the bending of the surface within the noise hardly counts.
+        bend = jnp.einsum("kn,kni,knj->nij", here.curvature, strips.beyond, strips.beyond)
+        return (
+            0.5 * jnp.sum(gap**2, axis=-1) + jnp.sum(here.value, axis=0),
+            jnp.einsum("kni,ni->nk", tangents, gap) + jnp.sum(slope, axis=0),
+            jnp.einsum("kni,lni->nkl", tangents, tangents) + bend,
+        )
+
     low, high = (jnp.asarray(side, float) for side in zip(*model.domain, strict=True))
     low, high = low - _BEYOND * (high - low), high + _BEYOND * (high - low)
-
-    def run(start: Array, points: Array, steps: int | Array) -> tuple[Array, Array]:
-        def expand(places: Array) -> tuple[Array, Array, Array]:
-            return _expansion(model, spans, noise, points, places)
-
-        found, doubt, _ = least_places(expand, start, steps, low, high)
-        return found, doubt
-
-    found, doubt = run(places, data.points, steps)
-    _, slow = jax.lax.top_k(doubt, min(len(found), max(32, len(found) // 64)))
-    return found.at[slow].set(run(found[slow], data.points[slow], _SLOW)[0])
-
-
-def _expansion(
-    model: AbstractSurface, spans: Spans, noise: _Noise, points: Array, places: Array
-) -> tuple[Array, Array, Array]:
-    """The cost of every point at its place, with the gradient and the Hessian by the place."""
-    position, tangents = position_and_tangents(model, places[:, 0], places[:, 1])
-    gap = position - points
-    value = 0.5 * jnp.sum(gap**2, axis=-1)
-    gradient = jnp.einsum("kni,ni->nk", tangents, gap)
-    # Gauss-Newton: the bending of the surface within the noise hardly counts.
-    hessian = jnp.einsum("kni,lni->nkl", tangents, tangents)
-    x, half, by_place, widening = _strips(model, spans, noise, places)
-    here = potential(x, half, noise.rho)
-    slope = here.slope[..., None] * by_place + here.by_width[..., None] * widening
-    # Near an edge F depends on the distance beyond it alone.
-    beyond = by_place - _side(x)[..., None] * widening
-    variance = noise.sigma**2
-    return (
-        value / variance + jnp.sum(here.value, axis=0),
-        gradient / variance + jnp.sum(slope, axis=0),
-        hessian / variance + jnp.einsum("kn,kni,knj->nij", here.curvature, beyond, beyond),
-    )
-
-
-def _side(x: Float[Array, "2 n"]) -> Float[Array, "2 n"]:
-    """The side of the nearer edge: −1 or 1."""
-    return jnp.where(x < 0, -1.0, 1.0)
-
-
-def _strips(
-    model: AbstractSurface, spans: Spans, noise: _Noise, places: Float[Array, "n 2"]
-) -> tuple[Array, Array, Array, Array]:
-    """For both strips x and α in units of τ, shape (2, n), and their derivatives by the place."""
-
-    def strips(places: Array) -> tuple[Array, Array]:
-        x, half = spans.strips(_fractions(model, places))
-        return x / noise.tau, half / noise.tau
-
-    along = [
-        jax.jvp(strips, (places,), (jnp.broadcast_to(jnp.asarray(axis), places.shape),))[1]
-        for axis in np.eye(2)
-    ]
-    by_place, widening = (jnp.stack(both, axis=-1) for both in zip(*along, strict=True))
-    return *strips(places), by_place, widening
-
-
-class _Linear(NamedTuple):
-    """Derivatives of the positions of places, times the roots of the weights of their points.
-
-    Attributes:
-        by_z: By the coordinates of the free parameters, shape (3, n, p).
-        by_place: By u and v, shape (2, 3, n).
-        squares: The weighted sum of the squared distances of points and places.
-    """
-
-    by_z: Float[Array, "3 n p"]
-    by_place: Float[Array, "2 3 n"]
-    squares: Float[Array, ""]
-
-
-def _information(
-    box: Box, data: Data, z: Float[Array, " q"], places: Float[Array, "n 2"], linear: _Linear
-) -> Float[Array, "q q"]:
-    """The Gauss-Newton Hessian of the cost by z, with the places eliminated.
-
-    It is the sum over all points of A_zz − A_zp A_pp⁻¹ A_pz, where A = JᵀJ has a row for each component
-    of S/σ, and one for each strip, √F'' times the distance beyond its nearer edge.
-    """
-    own, noise = z[:-NUISANCES], _Noise.of(z)
-    model = box.model(own)
-    spans, roots = Spans.of(model), jnp.sqrt(data.weights)
-    x, half, by_x, widening = _strips(model, spans, noise, places)
-    side = _side(x)
-    # The distance beyond the nearer edge is proportional to the width of the strip.
-    grown = _widened(box, own)
-    u, v = jnp.unstack(_fractions(model, places), axis=1)
-    widened = [jax.vmap(_between, (1, None), 1)(*pair) for pair in zip(grown, (v, u), strict=True)]
-    share = jnp.stack([u, v]) - 0.5 - 0.5 * side
-    root = roots * jnp.sqrt(potential(x, half, noise.rho).curvature)
-    blur = jnp.broadcast_to((side * half - x)[..., None], (*x.shape, NUISANCES))
-    edges = share[..., None] * jnp.stack(widened) / noise.tau
-    edges = jnp.concatenate([edges, blur], axis=-1) * root[..., None]
-    none = jnp.zeros((*linear.by_z.shape[:2], NUISANCES))
-    by_z = jnp.concatenate([jnp.concatenate([linear.by_z / noise.sigma, none], axis=-1), edges])
-    across = (by_x - side[..., None] * widening) * root[..., None]
-    by_p = jnp.concatenate([linear.by_place.transpose(1, 2, 0) / noise.sigma, across])
-    a_pp = jnp.einsum("kni,knj->nij", by_p, by_p)
-    a_pz = jnp.einsum("kni,knq->niq", by_p, by_z)
-    rows = by_z.reshape(-1, by_z.shape[-1])
-    bound = a_pz.reshape(-1, a_pz.shape[-1])
-    solved = (_inverse(a_pp) @ a_pz).reshape(bound.shape)
-    squares = linear.squares / noise.sigma**2
-    return (rows.T @ rows - bound.T @ solved).at[-2, -2].add(2 * squares)
-
-
-def _widened(box: Box, own: Float[Array, " p"]) -> tuple[Float[Array, "m p"], Float[Array, "k p"]]:
-    """Derivatives of the widths across and along at the nodes of `Spans` by the coordinates.
-
-    Tangents are differentiated as polynomials through the nodes, which is less exact than `Spans` where
-    the slope of an outline has a kink, and takes a tenth of the time. Only the Hessian depends on it.
-    """
-    model = box.model(own)
-    (u, u_weights), (v, v_weights) = _nodes(_ACROSS), _nodes(_ALONG)
-    (u_low, u_high), (v_low, v_high) = model.domain
-    grid = np.meshgrid(u_low + (u_high - u_low) * u, v_low + (v_high - v_low) * v, indexing="ij")
-    nodes = np.stack([side.ravel() for side in grid], axis=-1)
-    _, (by_u, by_v) = position_and_tangents(model, *map(jnp.asarray, grid))
-    by_u, by_v = by_u * (u_high - u_low), by_v * (v_high - v_low)
-    moved = _by_coordinates(box, own, jnp.asarray(nodes)).reshape(3, _ACROSS, _ALONG, -1)
-    moved_u = jnp.einsum("ab,cbvp->avpc", _differences(u), moved)
-    moved_v = jnp.einsum("ab,cubp->uapc", _differences(v), moved)
-    area = jnp.cross(by_u, by_v)
-    element, long_u, long_v = _norm(area), _norm(by_u), _norm(by_v)
-    normal = area / element[..., None]
-    # Derivatives of the element of area, by the rule for (a × b)·n, and of the lengths of the tangents.
-    grown = jnp.einsum("uvpc,uvc->uvp", moved_u, jnp.cross(by_v, normal))
-    grown = grown + jnp.einsum("uvpc,uvc->uvp", moved_v, jnp.cross(normal, by_u))
-    longer_u = jnp.einsum("uvpc,uvc->uvp", moved_u, by_u / long_u[..., None])
-    longer_v = jnp.einsum("uvpc,uvc->uvp", moved_v, by_v / long_v[..., None])
-    across = (grown - (element / long_v)[..., None] * longer_v) / long_v[..., None]
-    along = (grown - (element / long_u)[..., None] * longer_u) / long_u[..., None]
-    return jnp.einsum("u,uvp->vp", u_weights, across), jnp.einsum("v,uvp->up", v_weights, along)
-
-
-def _differences(nodes: Float[np.ndarray, " m"]) -> Float[np.ndarray, "m m"]:
-    """The matrix that differentiates the polynomial through values at Chebyshev nodes."""
-    weights = (-1.0) ** np.arange(len(nodes))
-    weights[[0, -1]] *= 0.5
-    apart = nodes[:, None] - nodes + np.eye(len(nodes))
-    matrix = weights / weights[:, None] / apart
-    np.fill_diagonal(matrix, 0.0)
-    return matrix - np.diag(matrix.sum(axis=1))
+    return least_places(expand, places, steps, low, high)[0]
 
 
 def _inverse(matrix: Float[Array, "n 2 2"]) -> Float[Array, "n 2 2"]:
@@ -360,21 +331,3 @@ def _inverse(matrix: Float[Array, "n 2 2"]) -> Float[Array, "n 2 2"]:
     a, b, d = matrix[:, 0, 0], matrix[:, 0, 1], matrix[:, 1, 1]
     adjugate = jnp.stack([jnp.stack([d, -b], axis=-1), jnp.stack([-b, a], axis=-1)], axis=-2)
     return adjugate / (a * d - b**2 + 1e-300)[:, None, None]
-
-
-def _by_coordinates(
-    box: Box, own: Float[Array, " p"], places: Float[Array, "n 2"]
-) -> Float[Array, "3 n p"]:
-    """Derivatives of the positions of places by the coordinates of the free parameters."""
-    model = box.model(own)
-
-    def component(axis: Array) -> Array:
-        def along(model: AbstractSurface, place: Array) -> Array:
-            return jnp.sum(axis * model.position(place[0], place[1]))
-
-        return box.gather(jax.vmap(jax.grad(along), (None, 0))(model, places))
-
-    return jax.vmap(component)(jnp.eye(3)) * box.slopes(own)
-
-
-sheet_cost = Program(_sheet_cost)

@@ -26,6 +26,8 @@ _UNLIKELY = 0.05  # weight of points that lie on no surface, while a model is st
 _WIDEST, _NARROWEST, _NARROWING = 6.0, 3.0, 0.6
 _AT_ONCE, _ROUNDS = 3, 36  # rounds between two mixtures, and all together
 _TOLERANCE = 0.02  # standard errors
+# The least scale of the kernel, relative to the extent: some points have no noise at all.
+_EXACT = 1e-12
 _UNCHANGED = 0.02  # a smaller change of a probability is none
 
 
@@ -53,11 +55,12 @@ def approach(
     base = weights * np.where(likely, 1.0, _UNLIKELY)
     cloud = ObservedCloud(pad(points, base, None))
     term, scale, n = cloud.match(model, None), np.inf, len(points)
+    least = _EXACT * float(np.linalg.norm(np.ptp(points, axis=0)))
     while True:
         distance = np.abs(
             signed_distance(*cloud.beside(coordinates, coordinates.inverse(model), term))[:n]
         )
-        narrowest = _NARROWEST * spread_of(distance[likely])
+        narrowest = max(_NARROWEST * spread_of(distance[likely]), least)
         scale = min(_WIDEST / _NARROWEST * narrowest, scale)
         kept = base * geman_mcclure(distance, max(scale, narrowest))
         end = _followed(coordinates, model, points, kept, None, term, 2, 0.3)

@@ -43,17 +43,6 @@ class Scan:
         background, likely = loss.background(points), loss.likely(points)
         return cls(points, weights, order, noise, background, likely)
 
-    def first(self, count: int) -> Scan:
-        """The scan of the first `count` points."""
-        return Scan(
-            self.points[:count],
-            self.weights[:count],
-            self.order[self.order < count],
-            self.noise,
-            self.background,
-            self.likely[:count],
-        )
-
     def some(self, count: int) -> Int[np.ndarray, " m"]:
         """Indices of at most `count` points that seem to belong to a surface, in random order."""
         return self.order[self.likely[self.order]][:count]

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from petalfit.fitting.families.family import AbstractFamily
 
 POSES = ("known", "rigid", "similarity")
+_HEAVIEST = 1e9
 
 
 def check_pose_name(pose: str) -> None:
@@ -156,6 +157,16 @@ def check_count(family: AbstractFamily, cloud: PointCloud, names: tuple[str, ...
         raise TargetError(
             f"{count} points cannot determine {len(names)} free parameters; at least "
             f"{len(names) + 1} are needed: give more points, or name fewer parameters in free."
+        )
+
+
+def check_weights(cloud: PointCloud) -> None:
+    """Raises an error for weights that cannot be numbers of observations."""
+    heaviest = float(np.max(cloud.mass))
+    if heaviest > _HEAVIEST:
+        raise TargetError(
+            f"weights reach {heaviest:.3g}, where a weight is the number of observations that a point "
+            f"counts for, at most {_HEAVIEST:g}: divide them by a common factor."
         )
 
 

@@ -70,7 +70,7 @@ def memberships(
     votes = np.mean(labels[near][..., None] == np.arange(-1, len(sheets)), axis=1)
     prior = np.log(_DOUBT + (1 - _DOUBT) * votes)
     area = np.array([sheet.area for sheet in sheets])
-    volume = float(np.prod(np.ptp(points, axis=0)))
+    volume = float(np.prod(np.maximum(np.ptp(points, axis=0), noise)))
     share = np.full(1 + len(sheets), 1 / (1 + len(sheets)))
     spread = np.full(len(sheets), 3 * noise)
     found = np.zeros((len(points), 1 + len(sheets)))

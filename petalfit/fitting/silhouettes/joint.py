@@ -50,11 +50,13 @@ class Joint:
         family: The family of the model.
         coordinates: The free parameters.
         parts: The likelihoods of the observations, each with the indices of its targets.
+        hidden: Names of parameters that the observations cannot show, which are held.
     """
 
     family: AbstractFamily
     coordinates: Coordinates
     parts: tuple[Part, ...]
+    hidden: tuple[str, ...] = ()
 
     @property
     def observed(self) -> list[AbstractObserved]:
@@ -88,7 +90,8 @@ class Joint:
         return sum(part.misfit(model) for part in self.observed)
 
     def follow(self, label: str, model: AbstractSurface, held: tuple[str, ...] = ()) -> _Followed:
-        """Solves from a start, with some parameters held."""
+        """Solves from a start, with some parameters held beside the hidden ones."""
+        held = (*held, *self.hidden)
         report(f"polishing from {label}")
         with stage("polishing"):
             end = self.minimise(self.coordinates.holding(held).around(model), model)
@@ -118,7 +121,7 @@ def fit_joint(family: AbstractFamily, request: Request) -> list[Iterate]:
     """
     coordinates, free = Coordinates.of(request.template, request.free), request.free
     parts = observe(request)
-    joint = Joint(family, coordinates, parts)
+    joint = Joint(family, coordinates, parts, family.hidden_from(request))
     if request.from_template:
         found = [joint.follow("given", coordinates.template)]
     else:
@@ -180,6 +183,7 @@ def _from_outlines(joint: Joint) -> Iterator[_Followed]:
         return
     rough = joint.family.rough(joint.coordinates)
     held = tuple(name for name in rough.free if name not in rough.moving)
+    rough = rough.holding((*held, *joint.hidden))
     for label, model in _outlined(joint, joint.views, rough):
         yield joint.follow(label, model, held)
         finer = joint.family.refined(joint.coordinates, model, joint.clouds, joint.views)

@@ -28,8 +28,7 @@ class Iterate(Generic[Model]):
         model: The model at this point.
         terms: The terms of the cost, with their foot points and noise.
         rounds: The number of rounds of matching and solving so far.
-        moved: Length of the last step in standard errors, the largest over all directions; of a
-            `Descent` it is in √χ².
+        moved: Length of the last step in standard errors, the largest over all directions.
         t: Coordinates of the free parameters, for solvers that need them again bit by bit; else None.
         chi2: −2 log likelihood, or a substitute for it; comparable between starts of one fit.
         label: A name that distinguishes the start from other starts.
@@ -39,6 +38,7 @@ class Iterate(Generic[Model]):
         residuals: The residuals of every observation.
         mixture: The probability of each point to belong to the surface; None without outliers.
         freedom: Effective number of parameters, if that is not the number of free parameters; else None.
+        trait_errors: Standard errors of the traits, if they do not follow from named parameters.
     """
 
     model: Model
@@ -53,6 +53,7 @@ class Iterate(Generic[Model]):
     residuals: tuple[Residuals, ...] = ()
     mixture: Mixture | None = None
     freedom: float | None = None
+    trait_errors: dict[str, float] = dataclasses.field(default_factory=dict)
 
     @property
     def is_finite(self) -> bool:

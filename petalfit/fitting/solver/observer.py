@@ -105,6 +105,11 @@ def report(text: str) -> None:
     _say(_current.get(), text)
 
 
+def is_looked_on() -> bool:
+    """Whether there is an onlooker, for whom the state of the fit is worth putting together."""
+    return _current.get().onlooker is not None
+
+
 def show(model: AbstractSurface, terms: Sequence[AbstractTerm]) -> None:
     """Passes the state of the fit, with the points of the terms, to the onlooker, if there is one."""
     onlooker = _current.get().onlooker

@@ -10,12 +10,17 @@ from jaxtyping import Float
 
 from petalfit.components import Posed, parameters
 from petalfit.fitting.coordinates import Box, Prior
-from petalfit.fitting.likelihood import programs
-from petalfit.fitting.likelihood.foot_points import guess_foot_points, signed_distance
+from petalfit.fitting.likelihood.foot_points import signed_distance
 from petalfit.fitting.likelihood.observed import Residuals
-from petalfit.fitting.likelihood.sheet import NUISANCES, SEARCH, STEPS, SheetCost, sheet_cost
+from petalfit.fitting.likelihood.sheet import (
+    NUISANCES,
+    SEARCH,
+    STEPS,
+    Sheet,
+    SheetCost,
+)
 from petalfit.fitting.solver.iterate import Iterate
-from petalfit.fitting.solver.observer import show
+from petalfit.fitting.solver.observer import is_looked_on, show
 from petalfit.residuals import Data, TangentDistance
 from petalfit.surfaces import AbstractSurface
 
@@ -23,13 +28,14 @@ from petalfit.surfaces import AbstractSurface
 # typical range. It gives a valley one bottom, and moves a parameter whose standard error is below 0.3
 # spreads by less than a tenth of that.
 ALWAYS = 1 / 3
-_TOLERANCE = 0.2  # standard errors
+TOLERANCE = 0.2  # standard errors
 _LOOK_AGAIN = 12  # steps, after which places are searched for on the whole surface
 _JITTER = 1e-4  # rise of the cost that is accepted, because a nearest segment may change
-_FIRST, _LEAST, _MOST = 1.0, 1e-3, 1e10  # damping, per squared spread
+_FIRST, _LEAST, _MOST = 300.0, 1e-3, 1e10  # damping, per squared spread
 # log τ/σ, the blur of the edges relative to the noise: its least, first and greatest value.
 _BLURS = (0.0, 0.1, 3.0)
 _QUIETER = 1.5  # the greatest change of log σ in a step
+_FOLLOWED = 0.1  # places follow a step by at most this part of the domain
 # A descent is not followed further if its cost is higher than that of another end by more than the first
 # number, and by more than the second one times what it gained since the last search.
 _HOPELESS, _LAGGING = 5.0, 1.0
@@ -42,7 +48,8 @@ class Stand:
 
     Attributes:
         z: Coordinates of the free parameters, log σ and log τ/σ.
-        places: The places of the points.
+        places: The places of the points, with those of the padding.
+        following: Their derivatives by z.
         cost: The cost with the prior, at the problem's temperature.
         gradient: Its derivative.
         information: Its information.
@@ -50,6 +57,7 @@ class Stand:
 
     z: Float[np.ndarray, " q"]
     places: Float[np.ndarray, "n 2"]
+    following: Float[np.ndarray, "n 2 q"]
     cost: float
     gradient: Float[np.ndarray, " q"]
     information: Float[np.ndarray, "q q"]
@@ -58,10 +66,6 @@ class Stand:
     def is_finite(self) -> bool:
         return bool(np.isfinite(self.cost) and np.isfinite(self.gradient).all())
 
-    @property
-    def sigma(self) -> float:
-        return float(np.exp(self.z[-2]))
-
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Settling:
@@ -69,7 +73,7 @@ class Settling:
 
     Attributes:
         box: The free parameters.
-        data: The cloud.
+        sheet: The likelihood.
         prior: The prior on the parameters.
         temperature: T, by which −log L is divided.
         low: Lower bounds of z.
@@ -77,7 +81,7 @@ class Settling:
     """
 
     box: Box
-    data: Data
+    sheet: Sheet
     prior: Prior
     temperature: float
     low: Float[np.ndarray, " q"]
@@ -85,37 +89,57 @@ class Settling:
 
     @classmethod
     def of(
-        cls, model: AbstractSurface, free: tuple[str, ...], data: Data, temperature: float
+        cls,
+        model: AbstractSurface,
+        free: tuple[str, ...],
+        sheet: Sheet,
+        noise: float | None = None,
+        temperature: float = 1.0,
     ) -> Settling:
+        """The problem of a cloud.
+
+        Args:
+            model: A model; parameters that are not free keep its values.
+            free: Names of the free parameters.
+            sheet: The likelihood of the cloud.
+            noise: σ, or None to estimate it.
+            temperature: T, by which −log L is divided before the prior is added.
+        """
         box = Box.of(model, free)
-        extent = float(np.linalg.norm(np.ptp(np.asarray(data.points), axis=0)))
-        given = float(data.sigma)
-        sigmas = (_FLOOR * extent, extent) if np.isnan(given) else (given, given)
+        extent = float(np.linalg.norm(np.ptp(sheet.points, axis=0)))
+        sigmas = (_FLOOR * extent, extent) if noise is None else (noise, noise)
         low = np.concatenate([box.low, [np.log(sigmas[0]), _BLURS[0]]])
         high = np.concatenate([box.high, [np.log(sigmas[1]), _BLURS[2]]])
-        return cls(box, data, always(box), temperature, low, high)
+        return cls(box, sheet, always(box), temperature, low, high)
 
-    def start(self, model: AbstractSurface, sigma: float) -> Stand:
-        """Where the descent begins: the model, moved inside its bounds, and the noise σ."""
+    def start(self, model: AbstractSurface) -> Stand:
+        """Where the descent begins: the model, moved inside its bounds, and the noise beside it."""
         box = self.box
         # A start on a bound could not leave it where its derivatives vanish.
         inside = 1e-3 * (box.high - box.low)
         own = np.clip(box.place(model), box.low + inside, box.high - inside)
-        z = np.clip(np.concatenate([own, [np.log(sigma), _BLURS[1]]]), self.low, self.high)
-        return self.search(z, None)
+        model = box.model(own)
+        uv = self.sheet.nearest(model)
+        z = np.concatenate([own, [np.log(self.sheet.spread(model, uv)), _BLURS[1]]])
+        z = np.clip(z, self.low, self.high)
+        return self._stand(z, self._evaluated(z, uv, SEARCH))
 
-    def search(self, z: Float[np.ndarray, " q"], places: Float[np.ndarray, "n 2"] | None) -> Stand:
-        """The cost at z, after a search for places that are likelier than the known ones, if any."""
-        uv = np.asarray(programs.nearest(self.box.model(z[:-NUISANCES]), self.data.points))
-        found = self._evaluated(z, uv, SEARCH)
-        if places is None:
-            return self._stand(z, found)
+    def stand_anywhere(self, z: Float[np.ndarray, " q"]) -> Stand:
+        """The cost at z, with places on the whole surface."""
+        return self._stand(z, self._anywhere(z))
+
+    def _anywhere(self, z: Float[np.ndarray, " q"]) -> SheetCost:
+        uv = self.sheet.nearest(self.box.model(z[:-NUISANCES]))
+        return self._evaluated(z, uv, SEARCH)
+
+    def search(self, z: Float[np.ndarray, " q"], places: Float[np.ndarray, "n 2"]) -> Stand:
+        """The cost at z, after a search for places that are likelier than the known ones."""
+        found = self._anywhere(z)
         known = self._evaluated(z, places, STEPS)
-        likelier = np.asarray(found.each) < np.asarray(known.each)
-        if not np.any(likelier & (np.asarray(self.data.weights) > 0)):
+        likelier = found.each < known.each
+        if not np.any(likelier & (self.sheet.padded_weights > 0)):
             return self._stand(z, known)
-        nearest = np.where(likelier[:, None], np.asarray(found.places), np.asarray(known.places))
-        return self.stand(z, nearest)
+        return self.stand(z, np.where(likelier[:, None], found.places, known.places))
 
     def stand(self, z: Float[np.ndarray, " q"], places: Float[np.ndarray, "n 2"]) -> Stand:
         """The cost at z, with places near the given ones."""
@@ -124,7 +148,7 @@ class Settling:
     def _evaluated(
         self, z: Float[np.ndarray, " q"], places: Float[np.ndarray, "n 2"], steps: int
     ) -> SheetCost:
-        return sheet_cost(self.box, self.data, z, places, steps)
+        return self.sheet.cost(self.box, z, places, steps)
 
     def _stand(self, z: Float[np.ndarray, " q"], here: SheetCost) -> Stand:
         """The cost at z with the prior."""
@@ -134,6 +158,7 @@ class Settling:
         return Stand(
             z,
             np.asarray(here.places),
+            np.asarray(here.following),
             float(here.cost) / self.temperature + 0.5 * float(away @ away),
             np.asarray(here.gradient) / self.temperature + root * away,
             np.asarray(here.information) / self.temperature + np.diag(root**2),
@@ -151,16 +176,81 @@ class Settling:
         return float(np.sqrt(max(step @ here.information @ step, 0.0)))
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Settled:
+    """The end of a descent.
+
+    Attributes:
+        problem: The problem.
+        stand: Where the descent ended.
+        rounds: The number of evaluations.
+        moved: The length of the Gauss-Newton step that is left, in standard errors.
+        damping: The damping with which the descent goes on.
+        label: The label of the start.
+    """
+
+    problem: Settling
+    stand: Stand
+    rounds: int
+    moved: float
+    damping: float
+    label: str
+
+    @property
+    def model(self) -> AbstractSurface:
+        return self.problem.box.model(self.stand.z[:-NUISANCES])
+
+    @property
+    def chi2(self) -> float:
+        """−2 log L, with the prior at the problem's temperature."""
+        return 2 * self.problem.temperature * self.stand.cost
+
+    @property
+    def sigma(self) -> float:
+        return float(np.exp(self.stand.z[-2]))
+
+    def with_cloud(self, sheet: Sheet, temperature: float) -> Settled:
+        """The same place before another cloud, from which a descent can go on."""
+        problem = dataclasses.replace(self.problem, sheet=sheet, temperature=temperature)
+        stand = problem.stand_anywhere(self.stand.z)
+        return dataclasses.replace(self, problem=problem, stand=stand, moved=problem.left(stand))
+
+    def end(self) -> Iterate:
+        """The end in the form of other solvers, with foot points and residuals."""
+        problem, here, model = self.problem, self.stand, self.model
+        distance, beyond, uv = problem.sheet.beside(model, here.places)
+        sheet = problem.sheet
+        residuals = Residuals(
+            signed_distance(distance, beyond), sheet.weights, self.sigma, "length", self.chi2, uv
+        )
+        roots = np.append(problem.prior.root, np.zeros(NUISANCES))
+        information = here.information - np.diag(roots**2)
+        information = problem.temperature * _without_nuisances(information)
+        slopes = np.asarray(problem.box.slopes(here.z[:-NUISANCES]))
+        information = information / np.outer(slopes, slopes)
+        return Iterate(
+            model,
+            (_term(problem.sheet, uv, self.sigma),),
+            self.rounds,
+            self.moved,
+            None,
+            self.chi2,
+            self.label,
+            information,
+            information,
+            (residuals,),
+        )
+
+
+def begun(problem: Settling, model: AbstractSurface, label: str = "") -> Settled:
+    """The start of a descent."""
+    stand = problem.start(model)
+    return Settled(problem, stand, 1, problem.left(stand), _FIRST, label)
+
+
 def settle(
-    model: AbstractSurface,
-    free: tuple[str, ...],
-    data: Data,
-    sigma: float,
-    temperature: float,
-    rounds: int,
-    label: str = "",
-    least: float = np.inf,
-) -> Iterate:
+    start: Settled, rounds: int, tolerance: float = TOLERANCE, least: float = np.inf
+) -> Settled:
     """Follows the likelihood of a sheet from a start to its stationary point.
 
     The method is Gauss-Newton with Levenberg's damping: directions that the data hardly determine take
@@ -168,25 +258,17 @@ def settle(
     out.
 
     Args:
-        model: The start.
-        free: Names of the free parameters.
-        data: The cloud.
-        sigma: The noise at the start.
-        temperature: T, by which −log L is divided before the prior is added.
+        start: The start, or the end of another descent.
         rounds: Upper bound of the number of evaluations.
-        label: The label of the end.
+        tolerance: The length of the step, in standard errors, below which the descent ends.
         least: The χ² of another end. A descent that is far above it, and gains little, stops.
-
-    Returns:
-        The end. Its `moved` is the length of the Gauss-Newton step that is left, in standard errors.
     """
-    problem = Settling.of(model, free, data, temperature)
-    here, damping, factor, number, since = problem.start(model, sigma), _FIRST, 2.0, 1, 0
-    moved, before = problem.left(here), here.cost
-    while number < rounds and (moved > _TOLERANCE or since > 0):
+    problem, here, damping, moved = start.problem, start.stand, start.damping, start.moved
+    factor, number, since, before = 2.0, 0, 0, start.stand.cost
+    while number < rounds and (moved > tolerance or since > 0):
         number += 1
-        if moved <= _TOLERANCE or since == _LOOK_AGAIN:
-            missing = here.cost - least / (2 * temperature)
+        if moved <= tolerance or since == _LOOK_AGAIN:
+            missing = here.cost - least / (2 * problem.temperature)
             if missing > max(_HOPELESS, _LAGGING * (before - here.cost)):
                 break
             before = here.cost
@@ -195,18 +277,31 @@ def settle(
             continue
         step = problem.step(here, damping)
         promised = -float(here.gradient @ step + 0.5 * step @ here.information @ step)
-        there = problem.stand(here.z + step, here.places)
+        there = problem.stand(here.z + step, _followed(problem.box.template, here, step))
         gain, since = here.cost - there.cost, since + 1
         if there.is_finite and gain > -_JITTER:
             share = gain / promised if promised > 10 * _JITTER else 1.0
             damping = max(damping * max(0.2, 1 - (2 * share - 1) ** 3), _LEAST)
             here, factor, moved = there, 2.0, problem.left(there)
-            show(problem.box.model(here.z[:-NUISANCES]), [_term(data, here)])
+            if is_looked_on():
+                end = Settled(problem, here, number, moved, damping, start.label)
+                # Places in the plane are good enough for a picture.
+                count = len(problem.sheet.points)
+                show(end.model, [_term(problem.sheet, here.places[:count], end.sigma)])
         else:
             damping, factor = damping * factor, min(2 * factor, 32.0)
             if damping > _MOST:
                 break
-    return _end(problem, here, number, moved, label)
+    return Settled(problem, here, start.rounds + number, moved, damping, start.label)
+
+
+def _followed(
+    model: AbstractSurface, here: Stand, step: Float[np.ndarray, " q"]
+) -> Float[np.ndarray, "n 2"]:
+    """The places to which a step of z moves those of the points, to first order."""
+    low, high = (np.array(side) for side in zip(*model.domain, strict=True))
+    most = _FOLLOWED * (high - low)
+    return here.places + np.clip(here.following @ step, -most, most)
 
 
 def always(box: Box) -> Prior:
@@ -249,44 +344,9 @@ def _least(
     return np.clip(step, low, high) * scale
 
 
-def _term(data: Data, here: Stand) -> TangentDistance:
-    # Places in the plane are good enough for a picture; `_end` finds foot points on the surface.
-    return TangentDistance(data=data, uv=jnp.asarray(here.places), sigma=jnp.asarray(here.sigma))
-
-
-def _end(problem: Settling, here: Stand, rounds: int, moved: float, label: str) -> Iterate:
-    box, data = problem.box, problem.data
-    model = box.model(here.z[:-NUISANCES])
-    uv = programs.refine(model, data.points, guess_foot_points(model, data.points), 3)
-    frames = programs.frames(model, uv)
-    distance = np.asarray(frames.distance(data.points))
-    beyond = np.max(np.asarray(frames.beyond(data.points)), axis=-1)
-    residuals = Residuals(
-        signed_distance(distance, beyond),
-        np.asarray(data.weights),
-        here.sigma,
-        "length",
-        2 * problem.temperature * here.cost,
-        np.asarray(uv),
-    )
-    without_prior = here.information - np.diag(
-        np.append(problem.prior.root, np.zeros(NUISANCES)) ** 2
-    )
-    information = problem.temperature * _without_nuisances(without_prior)
-    slopes = np.asarray(box.slopes(here.z[:-NUISANCES]))
-    information = information / np.outer(slopes, slopes)
-    return Iterate(
-        model,
-        (TangentDistance(data=data, uv=uv, sigma=jnp.asarray(here.sigma)),),
-        rounds,
-        moved,
-        here.z[:-NUISANCES],
-        2 * problem.temperature * here.cost,
-        label,
-        information,
-        information,
-        (residuals,),
-    )
+def _term(sheet: Sheet, uv: Float[np.ndarray, "n 2"], sigma: float) -> TangentDistance:
+    data = Data(jnp.asarray(sheet.points), jnp.asarray(sheet.weights), jnp.asarray(np.nan))
+    return TangentDistance(data=data, uv=jnp.asarray(uv), sigma=jnp.asarray(sigma))
 
 
 def _without_nuisances(information: Float[np.ndarray, "q q"]) -> Float[np.ndarray, "p p"]:

@@ -21,13 +21,18 @@ class BladeFamily(OpenSurfaceFamily):
     kind: ClassVar[type[AbstractSurface]] = BladePetal
     gauges: ClassVar[Mapping[str, tuple[str, ...]]] = {"similarity": ("length",)}
     is_petal: ClassVar[bool] = True
-    held_at_first: ClassVar[tuple[str, ...]] = (
+    # Fewer do not show widths of strips, in which the search for a start begins.
+    fewest: ClassVar[int | None] = 64
+    depth: ClassVar[tuple[str, ...]] = (
+        "bend",
+        "bend_shift",
         "tip_roll",
+        "twist",
+        "cup_base",
+        "cup_mid",
+        "cup_tip",
         "margin_curl",
         "keel",
-        "tip_edge",
-        "base_edge",
-        "skew",
     )
 
     def starts(
@@ -45,8 +50,13 @@ class BladeFamily(OpenSurfaceFamily):
         return [start.beside(best) for start in found]
 
     def standard_form(self, end: Iterate, names: tuple[str, ...]) -> Iterate:
-        """The end with the hollow side of the blade up; the other side gives the same blade in space."""
+        """The end with the hollow side of the blade up; the other side gives the same blade in space.
+
+        Bend and mean cup both count, so that the sides of few blades are nearly alike.
+        """
         blade = cast(BladePetal, bare(end.model))
-        if not float(blade.cup_mid) < 0:
+        # Simpson's rule is exact for the cup, which is a quadratic polynomial.
+        cup = float(blade.cup_base + 4 * blade.cup_mid + blade.cup_tip) / 6
+        if float(blade.bend) + cup >= 0:
             return end
         return turned_over(end, names, blade.turned_over(), BladePetal.sided)

@@ -192,7 +192,8 @@ def _polished_poses(
         yield from map(labelled, first)
         rest = basins[len(first) :]
         # If the smooth petal is not quite the right one, ribs may seem to have another frequency.
-        if rest and _ribs_left(coordinates, scan, min(ends, key=lambda end: end.chi2)):
+        best = min(ends, key=lambda end: end.chi2, default=None)
+        if rest and (best is None or _ribs_left(coordinates, scan, best)):
             yield from map(labelled, rest)
 
     def settle(name: str, model: AbstractSurface, prior: Prior | None) -> Iterate:

@@ -9,6 +9,7 @@ import numpy as np
 from petalfit.compilation import stage
 from petalfit.components import Posed, SplinePetal, bare
 from petalfit.fitting.families.family import AbstractFamily
+from petalfit.fitting.families.spline.equations import surfaces_of
 from petalfit.fitting.families.spline.smoothing import in_own_frame, smooth
 from petalfit.fitting.likelihood.foot_points import distances_beside, signed_distance
 from petalfit.fitting.likelihood.observed import Residuals
@@ -16,7 +17,12 @@ from petalfit.fitting.request.checks import POSES
 from petalfit.fitting.request.request import Request, scan_of
 from petalfit.fitting.solver.iterate import Iterate
 from petalfit.fitting.starts.frame import NormalisedFrame
+from petalfit.results import errors_of
 from petalfit.surfaces import AbstractSurface
+
+# Only of these traits the errors of the coefficients are all: others depend on where on the surface the
+# midrib and the corners lie, which follows from how the cloud was flattened.
+_KNOWN = ("area",)
 
 
 class SplineFamily(AbstractFamily):
@@ -44,6 +50,11 @@ class SplineFamily(AbstractFamily):
             weights[np.flatnonzero(weights > 0)[order]] *= found.mixture.members
         noise = request.noise or float(np.sqrt(np.average(distance**2, weights=weights)))
         residuals = Residuals(distance, weights, noise, "length", 0.0, uv)
+        with stage("errors"):
+            known = found.posterior
+            errors = errors_of(
+                surfaces_of(known.draws()), frame.unit, model.orientation, known.doubtful
+            )
         posed = model
         if request.pose != "known":
             posed = Posed(model, pose.rotation, pose.translation, pose.scale)
@@ -59,9 +70,10 @@ class SplineFamily(AbstractFamily):
                 residuals=(residuals,),
                 mixture=found.mixture,
                 freedom=found.freedom,
+                trait_errors={name: errors[name] for name in _KNOWN},
             )
         ]
 
     def outcome(self, end: Iterate) -> str:
         count = np.size(cast(SplinePetal, bare(end.model)).offsets)
-        return f"{count} coefficients, smoothed in {end.rounds} rounds; they have no errors"
+        return f"{count} coefficients, smoothed in {end.rounds} rounds; only traits have errors"

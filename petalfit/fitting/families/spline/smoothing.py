@@ -11,16 +11,26 @@ from scipy.spatial import KDTree
 
 from petalfit.compilation import pad_to
 from petalfit.components import SplinePetal
-from petalfit.components.spline_petal import SEGMENTS, basis
+from petalfit.components.spline_petal import SEGMENTS
+from petalfit.fitting.families.spline.equations import (
+    COUNT,
+    SHAPE,
+    Equations,
+    bending,
+    rows_at,
+    surface_of,
+)
+from petalfit.fitting.families.spline.margin import reached_from_the_edge
+from petalfit.fitting.families.spline.posterior import Posterior, posterior_of
 from petalfit.fitting.likelihood import programs
 from petalfit.fitting.likelihood.cloud import ObservedCloud, pad
-from petalfit.fitting.likelihood.emptiness import spacing
 from petalfit.fitting.likelihood.foot_points import (
     distances_beside,
     guess_foot_points,
 )
 from petalfit.fitting.likelihood.mixture import Mixture
 from petalfit.fitting.likelihood.quadrature import areas_around
+from petalfit.fitting.likelihood.scales import spacing
 from petalfit.fitting.outliers.loss import AbstractBackground
 from petalfit.fitting.outliers.scan import Scan
 from petalfit.fitting.solver.observer import report, show
@@ -29,14 +39,13 @@ from petalfit.fitting.starts.frame import NormalisedFrame
 from petalfit.residuals import TangentDistance
 from petalfit.surfaces import Pose
 
-_SHAPE = (SEGMENTS[0] + 3, SEGMENTS[1] + 3)
-_COUNT = _SHAPE[0] * _SHAPE[1]
 _ROUNDS = 14
 _CLEARINGS = 3  # additional rounds among clutter
 # The weight of bending falls from the first round to the last, as powers of ten.
 _STIFF, _LIMP = -3.3, -5.5
 _NODES = 33  # nodes per side at which the surface must lie near points
 _SLACK = 1.2  # distance of a node from all points that costs nothing, in spacings of the points
+_BESIDE = 16  # points beside a node, among which the nearest one is looked for
 _TIED = 1e-4  # weight that keeps coefficients in place in directions that no distance determines
 _LENGTH = 10.0  # length of a model whose unit is free
 _STRIPS = 24
@@ -50,12 +59,14 @@ class Smoothed(NamedTuple):
         mixture: The probability of each point to belong to the surface; None if all belong to it.
         freedom: Effective number of parameters of the smoothed coefficients.
         rounds: The number of iterations.
+        posterior: What is known of the coefficients.
     """
 
     control: Float[np.ndarray, "k 3"]
     mixture: Mixture | None
     freedom: float
     rounds: int
+    posterior: Posterior
 
 
 def smooth(scan: Scan) -> Smoothed:
@@ -65,10 +76,10 @@ def smooth(scan: Scan) -> Smoothed:
     report("flattening the cloud")
     sheet = _Points(own[inside], mass[inside])
     uv = _rectangle(flatten(sheet.points))
-    rows = _rows(uv)
-    bending = _bending()
+    rows = rows_at(uv)
+    bent = bending()
     start = rows.T @ (sheet.weights[:, None] * rows)
-    start += np.sum(sheet.weights) * 1e-3 * bending + 1e-9 * np.eye(_COUNT)
+    start += np.sum(sheet.weights) * 1e-3 * bent + 1e-9 * np.eye(COUNT)
     control = np.linalg.solve(start, rows.T @ (sheet.weights[:, None] * sheet.points))
     rounds = _ROUNDS if scan.background is None else _ROUNDS + _CLEARINGS
     freedom = 0.0
@@ -78,31 +89,28 @@ def smooth(scan: Scan) -> Smoothed:
             mixture = _mixture(control, scan, scan.background)
             inside = mixture.members > 0.5
             sheet = _Points(own[inside], (mass * mixture.members)[inside])
-            near = guess_foot_points(_surface(control), sheet.padded)
+            near = guess_foot_points(surface_of(control), sheet.padded)
             uv = np.asarray(near)[: len(sheet.points)]
         report(f"smoothing less and less, round {number + 1} of {rounds}")
         stiffness = 10 ** np.interp(number / _ROUNDS, [0.0, 0.7], [_STIFF, _LIMP])
-        uv, system = sheet.system(control, uv, stiffness * bending, 4 if number == 0 else 2)
+        uv, system = sheet.system(control, uv, stiffness * bent, 4 if number == 0 else 2)
         control = system.solved()
-        show(_surface(control), [sheet.at(uv)])
+        show(surface_of(control), [sheet.at(uv)])
         if number + 1 == rounds:
             freedom = system.freedom()
-    return Smoothed(control, mixture, freedom, rounds)
+    posterior = posterior_of(
+        sheet.points, sheet.weights, control, uv, 10**_LIMP * bent, freedom, sheet.spacing
+    )
+    return Smoothed(posterior.control, mixture, freedom, rounds, posterior)
 
 
 def _mixture(
     control: Float[np.ndarray, "k 3"], scan: Scan, background: AbstractBackground
 ) -> Mixture:
     """The mixture of points that belong to the surface of given coefficients, and others."""
-    surface = _surface(control)
+    surface = surface_of(control)
     distance, beyond, _ = distances_beside(surface, scan.points)
     return background.mixture(surface, distance, beyond, scan.weights, scan.noise)
-
-
-def _surface(control: Float[np.ndarray, "k 3"]) -> SplinePetal:
-    """The surface of coefficients that are places, not offsets."""
-    zero = np.float64(0.0)
-    return SplinePetal(a_x=zero, b_y=zero, c_z=zero, offsets=control.reshape(*_SHAPE, 3))
 
 
 class _Points:
@@ -111,11 +119,10 @@ class _Points:
     def __init__(self, points: Float[np.ndarray, "n 3"], weights: Float[np.ndarray, " n"]) -> None:
         self.points, self.weights = points, weights
         self.cloud = ObservedCloud(pad(points, weights, None))
-        self.tree = KDTree(points)
-        self.slack = _SLACK * spacing(self.tree)
+        self.spacing = spacing(KDTree(points))
         side = np.linspace(0, 1, _NODES)
         nodes = np.stack(np.meshgrid(side - 0.5, side, indexing="ij"), axis=-1).reshape(-1, 2)
-        self.nodes = _rows(nodes)
+        self.node_uv, self.nodes = nodes, rows_at(nodes)
 
     def system(
         self,
@@ -123,24 +130,25 @@ class _Points:
         uv: Float[np.ndarray, "n 2"],
         stiffness: Float[np.ndarray, "k k"],
         iterations: int,
-    ) -> tuple[Float[np.ndarray, "n 2"], _System]:
+    ) -> tuple[Float[np.ndarray, "n 2"], Equations]:
         """Foot points on the surface of given coefficients, and the equations for new coefficients."""
-        surface, n = _surface(control), len(self.points)
+        surface, n = surface_of(control), len(self.points)
         uv = np.asarray(programs.refine(surface, self.padded, self._padded(uv), iterations))
         here = programs.frames(surface, jnp.asarray(uv))
         uv = uv[:n]
         normal, position, conormals, left = (
             np.asarray(x)[:n] for x in (here.normal, here.position, here.conormals, here.left)
         )
-        rows, total = _rows(uv), float(np.sum(self.weights))
-        system = _System(control, total, stiffness, rows)
+        rows, total = rows_at(uv), float(np.sum(self.weights))
+        tied = total * _TIED * (rows.mean(axis=0) + 1e-3)
+        system = Equations(control, total * stiffness, tied)
         system.add(rows, normal, np.sum(normal * self.points, axis=1), self.weights)
         beyond = np.einsum("nij,nj->ni", conormals, self.points - position) - left
         for edge in range(2):
             on = (left[:, edge] < 1e-9) & (beyond[:, edge] > 0)
             along = conormals[on, edge]
             system.add(rows[on], along, np.sum(along * self.points[on], axis=1), self.weights[on])
-        self._add_emptiness(system, control, total)
+        self._add_emptiness(system, control, uv, total)
         return uv, system
 
     @property
@@ -156,81 +164,31 @@ class _Points:
         return jnp.asarray(pad_to(uv, len(self.padded)))
 
     def _add_emptiness(
-        self, system: _System, control: Float[np.ndarray, "k 3"], total: float
+        self,
+        system: Equations,
+        control: Float[np.ndarray, "k 3"],
+        uv: Float[np.ndarray, "n 2"],
+        total: float,
     ) -> None:
-        """Adds equations that draw nodes far from all points to the nearest point."""
+        """Adds equations that draw nodes beyond the points' margin to the nearest point.
+
+        Nodes in a hole are left alone: drawn to its rim, they would make the surface bulge.
+        """
         places = self.nodes @ control
-        area = areas_around(places.reshape(_NODES, _NODES, 3)).ravel()
-        gap, nearest = map(np.asarray, self.tree.query(places))
-        far = gap > self.slack
+        grid = places.reshape(_NODES, _NODES, 3)
+        area = areas_around(grid).ravel()
+        # Only points beside a node on the surface count, not those on another fold of it.
+        sides = [np.linalg.norm(np.diff(grid, axis=k), axis=-1).sum(k).mean() for k in (0, 1)]
+        beside = np.asarray(KDTree(uv * sides).query(self.node_uv * sides, _BESIDE)[1])
+        gaps = np.linalg.norm(places[:, None] - self.points[beside], axis=-1)
+        each = np.arange(len(places))
+        nearest = beside[each, np.argmin(gaps, axis=1)]
+        gap = np.min(gaps, axis=1)
+        far = reached_from_the_edge((gap > _SLACK * self.spacing).reshape(_NODES, _NODES)).ravel()
         there = self.points[nearest[far]]
         away = (places[far] - there) / gap[far, None]
-        target = np.sum(away * there, axis=1) + self.slack
+        target = np.sum(away * there, axis=1) + _SLACK * self.spacing
         system.add(self.nodes[far], away, target, total * area[far] / area.sum())
-
-
-class _System:
-    """Normal equations of all three coordinates of all coefficients."""
-
-    def __init__(
-        self,
-        control: Float[np.ndarray, "k 3"],
-        total: float,
-        stiffness: Float[np.ndarray, "k k"],
-        rows: Float[np.ndarray, "n k"],
-    ) -> None:
-        tied = total * _TIED * (rows.mean(axis=0) + 1e-3)
-        self.matrix = np.kron(total * stiffness + np.diag(tied), np.eye(3))
-        self.right = (tied[:, None] * control).ravel()
-        self.held = self.matrix.copy()
-
-    def add(
-        self,
-        rows: Float[np.ndarray, "m k"],
-        directions: Float[np.ndarray, "m 3"],
-        target: Float[np.ndarray, " m"],
-        weights: Float[np.ndarray, " m"],
-    ) -> None:
-        """Adds equations: places (`rows` of coefficients) should have `target` along `directions`."""
-        root = np.sqrt(weights)
-        slopes = rows[:, :, None] * directions[:, None, :] * root[:, None, None]
-        slopes = slopes.reshape(len(rows), 3 * rows.shape[1])
-        self.matrix += slopes.T @ slopes
-        self.right += slopes.T @ (target * root)
-
-    def freedom(self) -> float:
-        """Effective number of parameters: the trace of the matrix from given to fitted positions."""
-        return len(self.matrix) - float(np.trace(np.linalg.solve(self.matrix, self.held)))
-
-    def solved(self) -> Float[np.ndarray, "k 3"]:
-        return np.linalg.solve(self.matrix, self.right).reshape(-1, 3)
-
-
-def _rows(uv: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n k"]:
-    """The weight of every coefficient at given places."""
-    first = (uv[:, 0] + 0.5, SEGMENTS[0]), (uv[:, 1], SEGMENTS[1])
-    (i, across), (j, along) = (map(np.asarray, basis(jnp.asarray(x), n)) for x, n in first)
-    rows = np.zeros((len(uv), *_SHAPE))
-    number = np.arange(len(uv))
-    for k in range(4):
-        for m in range(4):
-            rows[number, i + k, j + m] = across[:, k] * along[:, m]
-    return rows.reshape(len(uv), -1)
-
-
-def _bending() -> Float[np.ndarray, "k k"]:
-    """The matrix of the sum of squared second differences of the coefficients."""
-
-    def squares(n: int, times: int) -> np.ndarray:
-        step = np.diff(np.eye(n), times, axis=0)
-        return step.T @ step
-
-    (m, n), eye = _SHAPE, np.eye
-    return (
-        np.kron(squares(m, 2), eye(n))
-        + np.kron(eye(m), squares(n, 2))
-        + 2 * np.kron(squares(m, 1), squares(n, 1))
-    )
 
 
 def _rectangle(plane: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
@@ -253,9 +211,9 @@ def in_own_frame(
     control: Float[np.ndarray, "k 3"], frame: NormalisedFrame, pose: str
 ) -> tuple[SplinePetal, Pose]:
     """The petal with offsets from the rectangle nearest to the surface, and that rectangle's pose."""
-    control = _base_first(control.reshape(*_SHAPE, 3))
+    control = _base_first(control.reshape(*SHAPE, 3))
     # Coefficients by which the spline represents u and v themselves.
-    u, v = ((np.arange(n) - 1) / segments for n, segments in zip(_SHAPE, SEGMENTS, strict=True))
+    u, v = ((np.arange(n) - 1) / segments for n, segments in zip(SHAPE, SEGMENTS, strict=True))
     u = u - 0.5
     inner = control[1:-1, 1:-1]
     across = np.tensordot(u[1:-1], inner - inner.mean(axis=0), (0, 0)).mean(axis=0)
@@ -291,5 +249,5 @@ def _base_first(control: Float[np.ndarray, "m n 3"]) -> Float[np.ndarray, "m n 3
     # Once the base is fixed, exchanging the sides turns the normal over.
     across, along = control[-2] - control[1], np.gradient(control, axis=1).mean(axis=0)
     up = np.cross(across, along).mean(axis=0)
-    rise = (0.5 * (control[1] + control[-2]) - control[_SHAPE[0] // 2]).mean(axis=0)
+    rise = (0.5 * (control[1] + control[-2]) - control[SHAPE[0] // 2]).mean(axis=0)
     return control if rise @ up >= 0 else control[::-1]

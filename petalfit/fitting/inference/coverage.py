@@ -1,0 +1,111 @@
+"""How much of a fitted surface has points near it, of its area and of its outline, and beyond it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial import KDTree
+
+from petalfit.fitting.likelihood.quadrature import SHAPE, Quadrature
+from petalfit.fitting.likelihood.scales import spacing
+from petalfit.surfaces import AbstractSurface
+
+# A place has no points near it if the nearest one is farther than so many spacings, which of points that
+# are spread evenly happens to one place in 10⁸.
+_SPACINGS = 2.5
+# Points go on beyond the outline if one lies so near, in spacings, to a place so far beyond it.
+_BEYOND, _NEAR = 3.0, 1.25
+_FEWEST = 50  # points, below which nothing can be said of their spacing
+_MOST = 20_000  # points that the nearest one is searched among
+
+
+class Coverage(NamedTuple):
+    """The parts of a surface that have no points near them, and those that the points go on beyond.
+
+    Attributes:
+        area: The part of its area, from 0 to 1.
+        outline: The part of its outline; 0 if it is closed.
+        scattered: The same without the longest stretch, which may have been hidden or cut off.
+        crossed: The part of its outline where the points go on beyond it, as at the seam of a sheet that
+            is wrapped around a closed body.
+    """
+
+    area: float
+    outline: float
+    scattered: float
+    crossed: float
+
+    @classmethod
+    def of(cls, model: AbstractSurface, points: Float[np.ndarray, "n 3"]) -> Coverage | None:
+        """The coverage of a surface by points; None if there are too few to tell.
+
+        Args:
+            model: The surface, in the frame of the points.
+            points: The points that belong to it.
+        """
+        if len(points) < _FEWEST:
+            return None
+        if len(points) > _MOST:
+            points = points[np.random.default_rng(0).permutation(len(points))[:_MOST]]
+        nodes, tree = Quadrature.of(model), KDTree(points)
+        gap = np.asarray(tree.query(nodes.places)[0]).reshape(SHAPE)
+        side = spacing(tree)
+        bare = gap > _SPACINGS * side
+        area = float(np.sum(nodes.area[bare]) / max(np.sum(nodes.area), 1e-300))
+        if not all(model.edges):
+            return cls(area, 0.0, 0.0, 0.0)
+        rim = Rim.of(nodes.places.reshape(*SHAPE, 3))
+        stretches = rim.stretches(_around(bare))
+        away = np.asarray(tree.query(rim.places + _BEYOND * side * rim.conormals)[0])
+        crossed = float(np.sum(rim.shares[away < _NEAR * side]))
+        scattered = sum(stretches) - max(stretches, default=0.0)
+        return cls(area, sum(stretches), scattered, crossed)
+
+
+class Rim(NamedTuple):
+    """The outline of a surface, as a closed line of nodes.
+
+    Attributes:
+        places: The nodes, shape (m, 3).
+        conormals: Unit vectors that point out of the surface, within it, shape (m, 3).
+        shares: The part of the length that each node stands for, shape (m,).
+    """
+
+    places: Float[np.ndarray, "m 3"]
+    conormals: Float[np.ndarray, "m 3"]
+    shares: Float[np.ndarray, " m"]
+
+    @classmethod
+    def of(cls, grid: Float[np.ndarray, "n_u n_v 3"]) -> Rim:
+        """The outline of a grid of nodes on a surface."""
+        inside = grid.copy()
+        inside[:, 0], inside[:, -1] = grid[:, 1], grid[:, -2]
+        inside[0], inside[-1] = grid[1], grid[-2]
+        places = _around(grid)
+        before, after = np.roll(places, 1, axis=0), np.roll(places, -1, axis=0)
+        along, out = _unit(after - before), places - _around(inside)
+        out = _unit(out - np.sum(out * along, axis=-1, keepdims=True) * along)
+        steps = np.linalg.norm(places - before, axis=-1)
+        length = max(float(np.sum(steps)), 1e-300)
+        return cls(places, out, 0.5 * (steps + np.roll(steps, -1)) / length)
+
+    def stretches(self, bare: Bool[np.ndarray, " m"]) -> list[float]:
+        """Lengths of the stretches that are bare, as parts of the whole length."""
+        if bare.all():
+            return [1.0]
+        # Begun at a node that is not bare, no stretch is cut in two.
+        first = -int(np.argmin(bare))
+        bare, shares = np.roll(bare, first), np.roll(self.shares, first)
+        number = np.cumsum(np.diff(bare, prepend=False) & bare)[bare]
+        return np.bincount(number, shares[bare])[1:].tolist() if bare.any() else []
+
+
+def _around(grid: np.ndarray) -> np.ndarray:
+    """The values at the nodes along the four sides of a grid, once around."""
+    return np.concatenate([grid[:-1, 0], grid[-1, :-1], grid[:0:-1, -1], grid[0, :0:-1]])
+
+
+def _unit(vectors: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 3"]:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300)
