@@ -29,8 +29,10 @@ from .fitting import CloudStart as CloudStart
 from .fitting import ColourFit as ColourFit
 from .fitting import FitError as FitError
 from .fitting import FitResult as FitResult
+from .fitting import FlowerResult as FlowerResult
 from .fitting import OpenSurfaceFamily as OpenSurfaceFamily
 from .fitting import fit as fit
+from .fitting import fit_flower as fit_flower
 from .fitting import fit_petal as fit_petal
 from .fitting import register as register
 from .flowers import Attachment as Attachment
@@ -60,6 +62,7 @@ from .results import Agreement as Agreement
 from .results import Discrepancy as Discrepancy
 from .results import Draws as Draws
 from .results import FitWarning as FitWarning
+from .results import Layout as Layout
 from .results import Profile as Profile
 from .results import Status as Status
 from .results import Trait as Trait

@@ -33,6 +33,8 @@ FITTING_ROWS = (
     {"outliers"},
     {"starts"},
     {"inference"},
+    {"segmentation"},
+    {"arrangement"},
     {"request"},
     {"families"},
     {"silhouettes"},

@@ -69,6 +69,7 @@ def _run(arguments: list[str]) -> int:
     from petalfit.cli.batch import batch
     from petalfit.cli.demo import demo
     from petalfit.cli.fit import fit
+    from petalfit.cli.flower import flower
     from petalfit.cli.grow import grow
     from petalfit.cli.mask import mask
     from petalfit.cli.parameters import parameters
@@ -79,6 +80,7 @@ def _run(arguments: list[str]) -> int:
         {
             "demo": demo,
             "fit": fit,
+            "flower": flower,
             "batch": batch,
             "studio": studio,
             "grow": grow,

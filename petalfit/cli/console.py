@@ -2,7 +2,7 @@
 
 import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -167,14 +167,20 @@ def list_files(folder: Path, contents: dict[str, str]) -> None:
 
 def warn(result: "FitResult") -> None:
     """Prints the doubts that matter most, to the console for errors so that they are seen in any case."""
-    from petalfit.cli.results import REPORT
-
     console, (first, rest) = errors(), result.doubts_in_two
     if not result.converged:
         sentence = f"{result.outcome}; the files hold what it ended with"
         console.print(Text(f"petalfit: {sentence}", style="bold yellow"), soft_wrap=True)
-    for doubt in first:
-        console.print(Text(f"warning: {doubt}", style="yellow"), soft_wrap=True)
-    if rest:
-        are = "warning is" if len(rest) == 1 else "warnings are"
-        console.print(Text(f"{len(rest)} more {are} in {REPORT}", style="yellow"), soft_wrap=True)
+    warn_of(first, len(rest))
+
+
+def warn_of(warnings: Iterable[str], more: int = 0) -> None:
+    """Prints warnings, and how many more the report holds, to the console for errors."""
+    from petalfit.cli.results import REPORT
+
+    console = errors()
+    for warning in warnings:
+        console.print(Text(f"warning: {warning}", style="yellow"), soft_wrap=True)
+    if more:
+        are = "warning is" if more == 1 else "warnings are"
+        console.print(Text(f"{more} more {are} in {REPORT}", style="yellow"), soft_wrap=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -67,20 +68,29 @@ def export_mesh(
 def export_glb(
     result: FitRecord, path: str | os.PathLike[str], resolution: tuple[int, int] = (65, 65)
 ) -> None:
-    """Write the fitted surface in the target's frame as binary glTF.
+    """Write the fitted surface as `export_petals` does, with a node that is named after the model."""
+    export_petals({type(result.model).__name__: result}, path, resolution)
 
-    The mesh has normals, texture coordinates and a matt, double-sided material. Its node is named
-    after the model and holds the numbers of the fit in its `extras` (see the function `extras`).
-    Lengths are in the target's unit, and the target's axes are kept. The file is written completely
-    or not at all. The same result gives the same bytes.
+
+def export_petals(
+    results: Mapping[str, FitRecord],
+    path: str | os.PathLike[str],
+    resolution: tuple[int, int] = (65, 65),
+) -> None:
+    """Write fitted surfaces in the target's frame as binary glTF.
+
+    The meshes have normals, texture coordinates and a matt, double-sided material. Their nodes have the
+    given names and hold the numbers of the fits in their `extras` (see the function `extras`). Lengths
+    are in the target's unit, and the target's axes are kept. The file is written completely or not at
+    all. The same results give the same bytes.
 
     Args:
-        result: The fit.
+        results: The fits by the name of their nodes.
         path: The path of the file; an existing file is replaced.
         resolution: The numbers of vertices along u and along v, at least 2 each.
 
     Raises:
-        ValueError: The resolution is too small.
+        ValueError: The suffix is not .glb, or the resolution is too small.
         OSError: The file cannot be written.
     """
     import trimesh
@@ -88,18 +98,21 @@ def export_glb(
     from trimesh.visual import TextureVisuals
     from trimesh.visual.material import PBRMaterial
 
-    mesh = result.mesh(resolution)
-    assert isinstance(mesh.visual, TextureVisuals)
-    mesh.visual.material = PBRMaterial(
-        name="petal",
-        baseColorFactor=_COLOUR,
-        metallicFactor=0.0,
-        roughnessFactor=_ROUGHNESS,
-        doubleSided=True,
-    )
-    name = type(result.model).__name__
+    if Path(path).suffix.lower() != ".glb":
+        raise ValueError(f"{os.fspath(path)}: the petals are written as glTF; give a name that ends in .glb.")
     scene = trimesh.Scene()
-    scene.add_geometry(mesh, node_name=name, geom_name=name, metadata={"petalfit": extras(result)})
+    for name, result in results.items():
+        mesh = result.mesh(resolution)
+        assert isinstance(mesh.visual, TextureVisuals)
+        mesh.visual.material = PBRMaterial(
+            name="petal",
+            baseColorFactor=_COLOUR,
+            metallicFactor=0.0,
+            roughnessFactor=_ROUGHNESS,
+            doubleSided=True,
+        )
+        numbers = {"petalfit": extras(result)}
+        scene.add_geometry(mesh, node_name=name, geom_name=name, metadata=numbers)
     _write(to_bytes(scene, include_normals=True), path)
 
 

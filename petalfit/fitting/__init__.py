@@ -15,5 +15,7 @@ from petalfit.fitting.fit import check_request as check_request
 from petalfit.fitting.fit import fit as fit
 from petalfit.fitting.fit import fit_petal as fit_petal
 from petalfit.fitting.fit import tip_of as tip_of
+from petalfit.fitting.flower import fit_flower as fit_flower
+from petalfit.fitting.flower_result import FlowerResult as FlowerResult
 from petalfit.fitting.outliers.registry import LOSSES as LOSSES
 from petalfit.fitting.result import FitResult as FitResult

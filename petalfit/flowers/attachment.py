@@ -14,7 +14,8 @@ class Attachment(eqx.Module):
 
     The organ's own y axis leans away from the flower's axis by `opening`; its z axis, a petal's normal,
     points inwards and up. The organ stands on the receptacle's surface at u = `latitude` and
-    v = `azimuth`, moved from there by `radius` away from the flower's axis and by `height` along it.
+    v = `azimuth`, moved from there by `radius` away from the flower's axis, by `height` along it and by
+    `aside` around it.
     """
 
     azimuth: Scalar = angle(0.0, "φ", (-1e6, 1e6), (0.0, 6.2832), "about the flower's axis")
@@ -29,6 +30,10 @@ class Attachment(eqx.Module):
     roll: Scalar = angle(0.0, "ψ", (-6.4, 6.4), (-0.3, 0.3), "about the organ's own axis")
     scale: Scalar = number(1.0, "s", (0.001, 1000.0), (0.5, 2.0), "size of one unit of the organ")
 
+    aside: Scalar = length(
+        0.0, "α", (-500.0, 500.0), (-1.0, 1.0), "across, towards larger azimuths"
+    )
+
     def pose(self, receptacle: AbstractSurface) -> Pose:
         """The pose from the organ's frame to the flower's; for an attachment without leading axes."""
         azimuth, opening = jnp.asarray(self.azimuth, float), jnp.asarray(self.opening, float)
@@ -39,5 +44,5 @@ class Attachment(eqx.Module):
         inwards = jnp.sin(opening) * up - jnp.cos(opening) * outwards
         turned = jnp.stack([around, along, inwards], axis=-1) @ about_y(self.roll)
         place = receptacle.position(jnp.asarray(self.latitude, float), azimuth)
-        place = place + self.radius * outwards + self.height * up
+        place = place + self.radius * outwards + self.height * up + self.aside * around
         return Pose(turned, place, jnp.asarray(self.scale, float))

@@ -8,6 +8,8 @@ _CRUMB = 0.05
 # Corners closer than this part of the extent are one: 2^20 steps, so that three of them make one integer.
 _STEPS = 20
 
+SEVERAL = "separate pieces"  # what the note on them says, which does not concern whole flowers
+
 
 def piece_notes(triangles: Float64[np.ndarray, "f 3 3"]) -> list[str]:
     """A note if a mesh has several large pieces, which are perhaps several petals.
@@ -25,7 +27,7 @@ def piece_notes(triangles: Float64[np.ndarray, "f 3 3"]) -> list[str]:
     listed = ", ".join(f"{100 * share / shares.sum():.0f} %" for share in shares[: min(large, 6)])
     more = ", …" if large > 6 else ""
     return [
-        f"the mesh has {large} separate pieces ({listed}{more} of its area), which are fitted as one "
+        f"the mesh has {large} {SEVERAL} ({listed}{more} of its area), which are fitted as one "
         "surface; if they are several petals, save each in a file of its own"
     ]
 

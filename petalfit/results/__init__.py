@@ -10,6 +10,11 @@ from petalfit.results.estimate import Start as Start
 from petalfit.results.estimate import quantile as quantile
 from petalfit.results.estimate import rivals as rivals
 from petalfit.results.estimate import standard_errors as standard_errors
+from petalfit.results.flower_record import FlowerRecord as FlowerRecord
+from petalfit.results.layout import Layout as Layout
+from petalfit.results.layout import LayoutKind as LayoutKind
+from petalfit.results.layout import Quantity as Quantity
+from petalfit.results.layout import Whorl as Whorl
 from petalfit.results.misfit import MisfitMap as MisfitMap
 from petalfit.results.profile import Profile as Profile
 from petalfit.results.record import FitRecord as FitRecord

@@ -173,7 +173,7 @@ class FitRecord(Estimate):
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write everything as lossless JSON, which `load` reads. A failure leaves no partial file."""
         with atomic_path(path) as temporary:
-            temporary.write_text(json.dumps(self._to_json(), indent=1, allow_nan=False) + "\n")
+            temporary.write_text(json.dumps(self.to_json(), indent=1, allow_nan=False) + "\n")
 
     @classmethod
     def load(
@@ -210,14 +210,15 @@ class FitRecord(Estimate):
                 "model."
             )
         try:
-            return cls._of(schema.read(path, FitFile, LARGEST), kind)
+            return cls.of_file(schema.read(path, FitFile, LARGEST), kind)
         except (OSError, ValueError) as error:
             reason = str(error).removesuffix(".")
             raise TargetError(f"{name} is a damaged fit result: {reason}; fit again.") from error
 
     _apart: ClassVar[tuple[str, ...]] = ("model", "agreements", "warnings")
 
-    def _to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, Any]:
+        """Everything as lossless JSON, which `of_file` reads after it has been checked."""
         fields: dict[str, Any] = {
             field.name: getattr(self, field.name)
             for field in dataclasses.fields(self)
@@ -243,7 +244,8 @@ class FitRecord(Estimate):
         return encode(head | {"options": options} | fields)
 
     @classmethod
-    def _of(cls: type[Record], file: FitFile, kind: type[AbstractSurface]) -> Record:
+    def of_file(cls: type[Record], file: FitFile, kind: type[AbstractSurface]) -> Record:
+        """The record that a file holds, with the class of its model."""
         model = model_of(file, kind)
         check(file, model)
         kept = {field.name for field in dataclasses.fields(cls)} & set(FitFile.__struct_fields__)

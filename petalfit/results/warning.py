@@ -25,6 +25,8 @@ class WarningKind(WithMeaning):
         "Distances have a pattern: the model cannot follow all of the target.",
     )
     NO_PATTERN = "no_pattern", "The texture shows no pattern of the kind that was fitted."
+    COUNT = "count", "Another number of petals is nearly as likely."
+    LEFT_OUT = "left_out", "Some of the cloud belongs to no petal."
     CONTRAST = "contrast", "What a pattern leaves unexplained is large beside its contrast."
     COLOURS = "colours", "The texture has more than two colours and their mixtures."
     RELATIVE_LENGTHS = "relative_lengths", "Without a camera, lengths have no unit."

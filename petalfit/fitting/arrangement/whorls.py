@@ -1,0 +1,154 @@
+"""Whorls and spirals: which regular arrangement the azimuths and distances of petals show."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from petalfit.results import Layout, LayoutKind, Quantity, Whorl
+
+_LEAST = 0.02  # rad; azimuths are not known better
+_REGULAR = 0.4  # scatter of the azimuths, by that of random ones, below which they are regular
+_CLEARLY = 6.0  # difference in BIC from the next arrangement
+_ANGLES = 720  # divergences that are tried
+UNKNOWN = Quantity(0.0, math.inf)
+
+
+class _Guess(NamedTuple):
+    """An arrangement with its evidence.
+
+    Attributes:
+        bic: Its information criterion, up to a constant.
+        scatter: Root mean square difference of the azimuths from it, in rad.
+        random: What that would be for petals at random azimuths.
+        rings: The petals of each ring, by their angle; a single one for a spiral.
+        divergence: The angle from petal to petal of a spiral, or None.
+    """
+
+    bic: float
+    scatter: float
+    random: float
+    rings: tuple[tuple[int, ...], ...]
+    divergence: float | None
+
+
+def arranged(
+    azimuth: Float[np.ndarray, " k"],
+    radius: Float[np.ndarray, " k"],
+    opening: Float[np.ndarray, " k"],
+    height: Float[np.ndarray, " k"],
+    axis_stderr: float,
+) -> tuple[Layout, Int[np.ndarray, " k"]]:
+    """The layout of petals, and their order in it: the outermost first, and in a whorl by their angle.
+
+    Args:
+        azimuth: Their angles about the flower's axis, in rad.
+        radius: Their distances from the axis, which tell outer from inner ones.
+        opening: Their angles to the axis, in rad.
+        height: The heights of their bases along the axis.
+        axis_stderr: Standard error of the axis's direction, in rad.
+    """
+    count, outside = len(azimuth), np.argsort(-radius, kind="stable")
+    unknown = Layout(LayoutKind.NOT_DETERMINED, (), UNKNOWN, axis_stderr)
+    if count < 3:
+        return unknown, outside
+    guesses = [
+        _whorls(azimuth, radius, outside, rings) for rings in range(1, count // 2 + 1)
+        if count % rings == 0
+    ]  # fmt: skip
+    guesses.append(_spiral(azimuth, radius, outside))
+    best, *others = sorted(guesses, key=lambda guess: guess.bic)
+    clear = not others or others[0].bic - best.bic > _CLEARLY
+    kinds_agree = others and (others[0].divergence is None) == (best.divergence is None)
+    if best.scatter > _REGULAR * best.random or not (clear or kinds_agree):
+        return unknown, outside
+    error = best.scatter / math.sqrt(count)
+    if best.divergence is not None:
+        # The divergence is the slope of the azimuths.
+        slope = best.scatter * math.sqrt(12 / count**3)
+        divergence = Quantity(best.divergence, slope)
+        return Layout(LayoutKind.SPIRAL, (), divergence, axis_stderr), outside
+    order = np.array([k for ring in best.rings for k in ring])
+    place = {int(k): number for number, k in enumerate(order)}
+    whorls = tuple(
+        Whorl(
+            tuple(place[k] for k in ring),
+            Quantity(float(azimuth[ring[0]] % (2 * math.pi)), error * math.sqrt(len(best.rings))),
+            _mean(opening[list(ring)]),
+            _mean(height[list(ring)]),
+        )
+        for ring in best.rings
+    )
+    return Layout(LayoutKind.WHORLS, whorls, _between(whorls, error), axis_stderr), order
+
+
+def _mean(values: Float[np.ndarray, " k"]) -> Quantity:
+    if len(values) < 2:
+        return Quantity(float(values.mean()), math.inf)
+    return Quantity(float(values.mean()), float(values.std(ddof=1) / math.sqrt(len(values))))
+
+
+def _between(whorls: tuple[Whorl, ...], error: float) -> Quantity:
+    """The angle from the outermost whorl to the next one, at most the distance of two petals."""
+    if len(whorls) < 2:
+        return UNKNOWN
+    one, other, *_ = whorls
+    turn = (other.phase.value - one.phase.value) % (2 * math.pi / one.count)
+    return Quantity(turn, math.sqrt(2 * len(whorls)) * error)
+
+
+def _bic(squares: float, count: int, parameters: int, within: float) -> float:
+    """The criterion for differences of azimuths, and for distances about the means of rings."""
+    floor = count * _LEAST**2
+    return (
+        count * math.log(max(squares, floor) / count)
+        + count * math.log(max(within, 1e-4))
+        + parameters * math.log(count)
+    )
+
+
+def _whorls(
+    azimuth: Float[np.ndarray, " k"],
+    radius: Float[np.ndarray, " k"],
+    outside: Int[np.ndarray, " k"],
+    rings: int,
+) -> _Guess:
+    """Rings of equally many petals, from outside to inside."""
+    count, each = len(azimuth), len(azimuth) // rings
+    squares, within, found = 0.0, 0.0, []
+    for ring in outside.reshape(rings, each):
+        ring = ring[np.argsort(azimuth[ring] % (2 * math.pi), kind="stable")]
+        off = azimuth[ring] - 2 * math.pi * np.arange(each) / each
+        phase = np.angle(np.mean(np.exp(1j * off)))
+        squares += float(np.sum(np.angle(np.exp(1j * (off - phase))) ** 2))
+        within += float(np.sum((radius[ring] - radius[ring].mean()) ** 2))
+        found.append(tuple(ring.tolist()))
+    within /= count * float(radius.mean()) ** 2
+    bic = _bic(squares, count, 2 * rings, within)
+    random = 2 * math.pi / each / math.sqrt(12)
+    return _Guess(bic, math.sqrt(squares / count), random, tuple(found), None)
+
+
+def _spiral(
+    azimuth: Float[np.ndarray, " k"],
+    radius: Float[np.ndarray, " k"],
+    outside: Int[np.ndarray, " k"],
+) -> _Guess:
+    """One spiral, in which every petal is turned from the one outside it by the same angle."""
+    count = len(azimuth)
+    step = np.arange(count)
+    turns = math.pi * np.arange(-_ANGLES, _ANGLES + 1) / _ANGLES
+    off = azimuth[outside] - turns[:, None] * step
+    off = np.angle(np.exp(1j * (off - np.angle(np.mean(np.exp(1j * off), axis=1))[:, None])))
+    squares = np.sum(off**2, axis=1)
+    best = int(np.argmin(squares))
+    slope = np.polyfit(step, radius[outside], 1)
+    within = np.sum((radius[outside] - np.polyval(slope, step)) ** 2)
+    within = float(within) / (count * float(radius.mean()) ** 2)
+    bic = _bic(float(squares[best]), count, 4, within)
+    scatter = math.sqrt(float(squares[best]) / count)
+    order = (tuple(outside.tolist()),)
+    return _Guess(bic, scatter, math.pi / math.sqrt(3), order, abs(float(turns[best])))

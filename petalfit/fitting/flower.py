@@ -1,0 +1,257 @@
+"""The entry point for a whole flower: `fit_flower` finds its petals in one scan and fits each of them."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from petalfit.fitting.arrangement import Placed, arranged, axis_of, meeting_point
+from petalfit.fitting.error import FitError
+from petalfit.fitting.families.registry import FOR_SCANS, family_of
+from petalfit.fitting.fit import check_request, fit
+from petalfit.fitting.flower_result import FlowerResult, base_of
+from petalfit.fitting.result import FitResult
+from petalfit.fitting.segmentation import FEWEST, Segments, segments_of
+from petalfit.fitting.segmentation.members import Sheet, memberships
+from petalfit.observations import PointCloud, TargetError, as_point_cloud
+from petalfit.observations.mesh_pieces import SEVERAL
+from petalfit.results import FitWarning, WarningKind
+from petalfit.surfaces import AbstractSurface, Pose
+
+MOST_PETALS = 60
+_SEEN = 12_000  # points that segments are found among
+_FITTED = 600  # points that a petal is fitted to
+_SMALL = 0.3  # of the median segment; a smaller one may be a part of others
+_EXPLAINED, _NEAR = (
+    0.7,
+    4.0,
+)  # the part of its points that then lies this near to them, in the noise
+_ON_SHEETS = 0.5  # the share of the points in segments below which sheets cannot be told apart
+_THICK = 0.25  # noise, in radii of neighbourhoods, from which points fill space
+_LEFT_OUT = 0.1  # the share of the points in no petal that is worth a warning
+
+
+class _Petal(NamedTuple):
+    """A petal that was fitted.
+
+    Attributes:
+        segment: The number of its segment.
+        result: Its fit.
+        sheet: Its surface.
+    """
+
+    segment: int
+    result: FitResult
+    sheet: Sheet
+
+
+def fit_flower(
+    target: object,
+    *,
+    model: type[AbstractSurface] | AbstractSurface = FOR_SCANS,
+    petals: int | None = None,
+    loss: str = "robust",
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+    throw: bool = True,
+) -> FlowerResult:
+    """Recover the petals of a flower from one scan: their number, their points, their parameters.
+
+    The scan is first segmented into smooth sheets. A petal is fitted to each of them, and then all points
+    are assigned to the petals anew. Stalks, stamens and clutter that form no sheet belong to none.
+
+    Args:
+        target: A cloud of one flower in any position and unit: an (N, 3) array, a `PointCloud`, a trimesh
+            mesh or cloud, or the path of a file.
+        model: The class of the petals, or a petal whose fixed parameters are kept. Its family must allow
+            any position and unit.
+        petals: The number of petals, if it is known.
+        loss: As in `fit`, for each petal.
+        seed: The seed of random choices.
+        progress: A function that is called with a line of text whenever a stage begins.
+        throw: Whether to raise `FitError` if a fit failed; else `converged` of the result is False.
+
+    Returns:
+        The result. Read its `warnings`.
+
+    Raises:
+        TargetError: The cloud cannot be used: it is too sparse, has too many sheets, or none.
+        FitError: The solver failed for a petal, and `throw` is True.
+    """
+    say = progress or (lambda text: None)
+    check_request(model, pose="similarity", loss=loss, free=None, init=None, noise=None)
+    cloud = _scan(target, seed)
+    _check_count(cloud, petals)
+    say("telling the sheets apart")
+    rng = np.random.default_rng(seed)
+    seen = cloud.points[rng.permutation(len(cloud))[:_SEEN]]
+    found = segments_of(seen, petals, seed)
+    _check_segments(found, petals)
+    fitted = list(_fitted(seen, found, model, loss, seed, rng, petals is None, say))
+    if not fitted:
+        raise TargetError(
+            "no petal could be fitted to any sheet of the cloud; crop it to the flower."
+        )
+    say("assigning the points")
+    labels = np.full(len(seen), -1)
+    for number, petal in enumerate(fitted):
+        labels[found.labels == petal.segment] = number
+    sheets = [petal.sheet for petal in fitted]
+    members = memberships(cloud.points, sheets, seen, labels, found.noise)
+    result = _arranged(cloud, [petal.result for petal in fitted], members, found, petals)
+    failed = [petal for petal in result.petals if not petal.converged]
+    if throw and failed:
+        raise FitError(f"the fit of a petal failed: {failed[0].message}", failed[0])
+    return result
+
+
+def _scan(target: object, seed: int) -> PointCloud:
+    """The cloud of a target; meshes are sampled densely enough to tell their sheets apart."""
+    if isinstance(target, str | os.PathLike):
+        return PointCloud.load(target, n=_SEEN, seed=seed)
+    if hasattr(target, "faces") and hasattr(target, "vertices"):
+        return PointCloud.from_mesh(target, _SEEN, seed)  # pyright: ignore[reportArgumentType]
+    return as_point_cloud(target)
+
+
+def _check_count(cloud: PointCloud, petals: int | None) -> None:
+    if len(cloud) < FEWEST:
+        raise TargetError(
+            f"{len(cloud)} points are too few to tell the petals of a flower apart; scan it with "
+            f"{FEWEST} or more, better some thousand."
+        )
+    if petals is not None and not 1 <= petals <= min(MOST_PETALS, len(cloud) // 50):
+        raise TargetError(
+            f"petals={petals} is no number of petals for {len(cloud):,} points; give 1 to "
+            f"{min(MOST_PETALS, len(cloud) // 50)}, or leave it out."
+        )
+
+
+def _check_segments(found: Segments, petals: int | None) -> None:
+    on = float(np.mean(found.labels >= 0))
+    if on < _ON_SHEETS or found.thickness > _THICK:
+        raise TargetError(
+            "the points do not lie on smooth sheets that their neighbours continue: the cloud "
+            "is too sparse or too noisy to tell the petals apart; scan it more densely, or crop it to "
+            "one flower."
+        )
+    if found.count > MOST_PETALS:
+        raise TargetError(
+            f"the cloud has {found.count} separate sheets, where a flower has at most {MOST_PETALS} "
+            "petals here: crop it to one flower."
+        )
+    if petals is not None and found.count != petals:
+        raise TargetError(
+            f"the cloud shows {found.count} sheets, which cannot be cut to {petals} petals: give the "
+            "number that you see, or leave petals out."
+        )
+
+
+def _fitted(
+    seen: Float[np.ndarray, "n 3"],
+    found: Segments,
+    model: type[AbstractSurface] | AbstractSurface,
+    loss: str,
+    seed: int,
+    rng: np.random.Generator,
+    may_drop: bool,
+    say: Callable[[str], None],
+) -> Iterator[_Petal]:
+    """A petal for each segment, the largest first; small ones that others explain are none."""
+    inside = [np.flatnonzero(found.labels == label) for label in range(found.count)]
+    sizes = np.array([len(part) for part in inside])
+    options = {"pose": "similarity", "loss": loss, "seed": seed, "throw": False}
+    if found.count > 1 and "base" in family_of(model).takes:
+        options["base"] = meeting_point([seen[part] for part in inside])
+    sheets: list[Sheet] = []
+    for number, segment in enumerate(np.argsort(-sizes).tolist()):
+        points = seen[inside[segment]]
+        if may_drop and sheets and len(points) < _SMALL * np.median(sizes):
+            near = (
+                np.min([sheet.distance(points) for sheet in sheets], axis=0) < _NEAR * found.noise
+            )
+            if np.mean(near) > _EXPLAINED:
+                continue
+        some = points[rng.permutation(len(points))[:_FITTED]]
+        stage = f"petal {number + 1} of {found.count}"
+        say(stage)
+        try:
+            result = fit(
+                model, some, progress=lambda text, stage=stage: say(f"{stage}: {text}"), **options
+            )
+        except TargetError:
+            continue  # no petal has such a shape
+        assert isinstance(result, FitResult)
+        sheets.append(Sheet.of(result.mesh()))
+        yield _Petal(segment, result, sheets[-1])
+
+
+def _arranged(
+    cloud: PointCloud,
+    petals: list[FitResult],
+    members: Float[np.ndarray, "n k"],
+    found: Segments,
+    given: int | None,
+) -> FlowerResult:
+    """The result, its petals in the order of their layout."""
+    placed = Placed(
+        np.stack([base_of(petal) for petal in petals]),
+        np.stack([np.asarray(petal.mesh((17, 17)).vertices).mean(axis=0) for petal in petals]),
+    )
+    axes, origin, axis_stderr = axis_of(placed)
+    middle, base = (placed.middle - origin) @ axes, (placed.base - origin) @ axes
+    way = middle - base
+    azimuth, radius = np.arctan2(middle[:, 2], middle[:, 0]), np.hypot(middle[:, 0], middle[:, 2])
+    opening = np.arctan2(np.hypot(way[:, 0], way[:, 2]), way[:, 1])
+    layout, order = arranged(azimuth, radius, opening, base[:, 1], axis_stderr)
+    members = members[:, order]
+    labels: Int[np.ndarray, " n"] = np.where(
+        members.max(axis=1) > 1 - members.sum(axis=1), members.argmax(axis=1), -1
+    )
+    scale = float(np.median([float(petal.pose.scale) for petal in petals]))
+    rivals = () if given is not None else found.rivals
+    dropped = found.count - len(petals)
+    result = FlowerResult(
+        target=cloud,
+        petals=tuple(petals[k] for k in order),
+        labels=labels,
+        memberships=members,
+        axis=Pose(axes, origin, scale),
+        layout=layout,
+        rivals=tuple(rival - dropped for rival in rivals if rival > dropped),
+    )
+    return dataclasses.replace(result, warnings=tuple(_warnings(result)))
+
+
+def _warnings(result: FlowerResult) -> Iterator[FitWarning]:
+    for note in result.target.notes:
+        if SEVERAL in note:
+            continue  # they are the petals
+        yield FitWarning(f"{note[0].upper()}{note[1:].removesuffix('.')}.", WarningKind.TARGET)
+    if result.count == 1:
+        yield FitWarning(
+            "There is only one petal in the cloud; fit_petal is made for that.", WarningKind.COUNT
+        )
+    elif result.rivals:
+        numbers = " or ".join(map(str, result.rivals))
+        yield FitWarning(
+            f"The cloud may also show {numbers} petals, where {result.count} were found: look at the "
+            "picture, and give the number that you see as petals.",
+            WarningKind.COUNT,
+        )
+    none = float(np.mean(result.labels < 0))
+    if none > _LEFT_OUT:
+        yield FitWarning(
+            f"{100 * none:.0f} % of the points belong to no petal and are left out.",
+            WarningKind.LEFT_OUT,
+        )
+    for name, petal in zip(result.names, result.petals, strict=True):
+        if not petal.converged:
+            yield FitWarning(
+                f"The fit of {name} did not converge: {petal.outcome}.", WarningKind.SYSTEMATIC
+            )

@@ -1,0 +1,5 @@
+"""Segmentation of a cloud of several sheets: which points lie on the same one."""
+
+from petalfit.fitting.segmentation.segments import FEWEST as FEWEST
+from petalfit.fitting.segmentation.segments import Segments as Segments
+from petalfit.fitting.segmentation.segments import segments_of as segments_of

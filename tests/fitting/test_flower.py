@@ -1,0 +1,150 @@
+"""Sheets of a cloud are told apart, and what cannot be a flower is refused before anything is fitted."""
+
+import math
+
+import numpy as np
+import pytest
+
+import petalfit as pf
+from petalfit.fitting.arrangement import Placed, arranged, axis_of, meeting_point
+from petalfit.fitting.segmentation import segments_of
+from petalfit.fitting.segmentation.members import Sheet, memberships
+from petalfit.results import LayoutKind
+
+NOISE = 0.004
+
+
+def corolla(count: int, each: int = 500, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Points of petals of length 1 around the y axis, and the petal of each point."""
+    rng = np.random.default_rng(seed)
+    points, labels = [], []
+    for k in range(count):
+        u, v = rng.uniform(-1, 1, each), np.sqrt(rng.uniform(0, 1, each))
+        width = 0.55 * math.sin(math.pi / count) * np.sin(np.pi * np.clip(v, 0.12, 0.9))
+        lean = 0.5 + 0.9 * v
+        along = np.stack([0.3 + np.sin(lean) * v, np.cos(lean) * v, u * width], axis=-1)
+        along[:, 1] += 0.5 * (u * width) ** 2
+        turn = 2 * math.pi * k / count
+        cosine, sine = math.cos(turn), math.sin(turn)
+        turned = along @ np.array([[cosine, 0, sine], [0, 1, 0], [-sine, 0, cosine]])
+        points.append(turned + NOISE * rng.normal(size=(each, 3)))
+        labels.append(np.full(each, k))
+    order = rng.permutation(count * each)
+    return np.concatenate(points)[order], np.concatenate(labels)[order]
+
+
+def purity(truth: np.ndarray, found: np.ndarray) -> float:
+    """The share of points whose segment has their petal as its most frequent one."""
+    kept = [np.bincount(truth[found == k]).max() for k in np.unique(found[found >= 0])]
+    return float(np.sum(kept)) / len(truth)
+
+
+@pytest.mark.parametrize("count", [3, 5])
+def test_petals_are_told_apart_in_any_pose_and_unit(count: int) -> None:
+    points, truth = corolla(count)
+    turn = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+    for cloud in (points, 0.003 * points @ turn + np.array([4.0, 5.0, -3.0])):
+        found = segments_of(cloud)
+        assert found.count == count
+        assert purity(truth, found.labels) > 0.97
+
+
+def test_the_noise_is_estimated() -> None:
+    points, _ = corolla(3)
+    assert segments_of(points).noise == pytest.approx(NOISE, rel=0.25)
+
+
+def test_parallel_sheets_a_few_noises_apart_are_two() -> None:
+    rng = np.random.default_rng(0)
+    flat = rng.uniform(-1, 1, (1600, 2))
+    truth = (np.arange(1600) % 2).astype(int)
+    height = 0.12 * truth + 0.3 * flat[:, 0] ** 2 + 0.008 * rng.normal(size=1600)
+    found = segments_of(np.column_stack([flat, height]))
+    assert found.count == 2
+    assert purity(truth, found.labels) > 0.95
+
+
+@pytest.mark.parametrize("count", [2, 4])
+def test_a_given_number_of_petals_is_obeyed(count: int) -> None:
+    points, _ = corolla(3)
+    assert segments_of(points, count).count == count
+
+
+def test_points_belong_to_the_sheet_that_is_near_and_clutter_to_none() -> None:
+    one = pf.Rectangle().mesh((33, 33))
+    other = one.copy()
+    other.apply_translation([0.0, 0.0, 0.5])
+    rng = np.random.default_rng(0)
+    on = rng.uniform([-0.4, 0.1, 0], [0.4, 0.9, 0], (300, 3))
+    up = np.array([0, 0, 0.5])
+    points = np.concatenate([on, on + up, on[:40] + 0.5 * up])
+    labels = np.repeat([0, 1], 300)
+    found = memberships(points, [Sheet.of(one), Sheet.of(other)], points[:600], labels, 0.01)
+    assert (found[:600].argmax(axis=1) == labels).all()
+    assert found[:600].max(axis=1).min() > 0.8
+    assert found[600:].sum(axis=1).max() < 0.1
+
+
+def test_the_axis_is_what_petals_surround() -> None:
+    turn = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0]
+    turn = turn * np.sign(np.linalg.det(turn))
+    angle = 2 * math.pi * np.arange(6) / 6
+    for opening in (0.2, 1.0, 1.6):
+        middle = np.stack(
+            [
+                math.sin(opening) * np.cos(angle),
+                np.full(6, math.cos(opening)),
+                math.sin(opening) * np.sin(angle),
+            ],
+            axis=-1,
+        )
+        axes, _, error = axis_of(Placed(np.zeros((6, 3)), middle @ turn.T))
+        # At a right angle to the axis nothing tells its two directions apart.
+        assert abs(axes[:, 1] @ turn[:, 1]) == pytest.approx(1.0, abs=1e-6)
+        assert error < 0.2
+
+
+def test_petals_meet_at_their_bases() -> None:
+    points, labels = corolla(5)
+    place = meeting_point([points[labels == k] for k in range(5)])
+    assert np.linalg.norm(place) < 0.5
+
+
+def test_whorls_and_spirals_are_found() -> None:
+    ones, golden = np.ones(6), math.pi * (3 - math.sqrt(5))
+    turn = math.pi / 3 * np.arange(6)
+    radius = np.where(np.arange(6) % 2 == 0, 2.0, 1.0) + 0.01 * np.arange(6)
+    layout, order = arranged(turn, radius, 0.3 * ones, 0.0 * ones, 0.01)
+    assert [whorl.count for whorl in layout.whorls] == [3, 3]
+    assert sorted(order[:3]) == [0, 2, 4]
+    assert layout.divergence.value == pytest.approx(math.pi / 3, abs=0.05)
+    step = np.arange(8)
+    layout, _ = arranged(golden * step, 3 - 0.2 * step, 0.3 + 0 * step, 0.0 * step, 0.01)
+    assert layout.kind is LayoutKind.SPIRAL
+    assert layout.divergence.value == pytest.approx(golden, abs=0.01)
+
+
+def test_random_places_are_no_arrangement() -> None:
+    rng = np.random.default_rng(3)
+    turn, radius = rng.uniform(0, 7, 7), rng.uniform(1, 3, 7)
+    layout, order = arranged(turn, radius, np.ones(7), np.ones(7), 0.1)
+    assert layout.kind is LayoutKind.NOT_DETERMINED
+    assert (np.diff(radius[order]) <= 0).all()
+
+
+def test_a_cloud_that_is_no_flower_is_refused_in_one_sentence() -> None:
+    rng = np.random.default_rng(0)
+    with pytest.raises(pf.TargetError, match="too few to tell the petals"):
+        pf.fit_flower(rng.normal(size=(100, 3)))
+    with pytest.raises(pf.TargetError, match="is no number of petals"):
+        pf.fit_flower(corolla(3)[0], petals=0)
+    with pytest.raises(pf.TargetError, match="too sparse or too noisy"):
+        pf.fit_flower(rng.uniform(size=(1500, 3)))
+
+
+def test_a_bush_is_refused_before_it_is_fitted() -> None:
+    points, labels = corolla(2, each=150)
+    leaf = points[labels == 0]
+    shifts = 3.0 * np.stack(np.meshgrid(*3 * [np.arange(4)]), axis=-1).reshape(-1, 3)
+    with pytest.raises(pf.TargetError, match="separate sheets, where a flower has at most"):
+        pf.fit_flower(np.concatenate([leaf + shift for shift in shifts]))
