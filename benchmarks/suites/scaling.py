@@ -18,6 +18,7 @@ _KINDS = 64  # different clouds in a batch
 
 def run(quick: bool, tell: Tell) -> Iterator[Metric | Curve]:
     yield from _points(quick, tell)
+    yield from _blades(quick, tell)
     yield from _fits(quick, tell)
 
 
@@ -40,6 +41,30 @@ def _points(quick: bool, tell: Tell) -> Iterator[Metric | Curve]:
         "scaling.points", [*map(float, sizes)], times, "points", "seconds of a warm fit",
         log=True, group="points",
     )  # fmt: skip
+
+
+def _blades(quick: bool, tell: Tell) -> Iterator[Metric | Curve]:
+    """The same for a blade in an unknown pose, whose larger clouds are condensed."""
+    sizes = [2000, 100_000] + ([] if quick else [1_000_000])
+    blade = pf.BladePetal(bend=0.8, cup_mid=0.4, twist=0.2, tip_roll=0.3, skew=0.1, keel=0.1)
+    times = []
+    for n in sizes:
+        tell(f"a blade of {n} points")
+        points = blade.sample(n, seed=1, noise=0.01).points
+        pf.fit_petal(points[:2000], model=pf.BladePetal, pose="similarity", throw=False)
+        taken, _ = timed(
+            lambda points=points: pf.fit_petal(
+                points, model=pf.BladePetal, pose="similarity", throw=False
+            ),
+            3 if n <= 10_000 else 1,
+        )
+        times.append(taken)
+        yield Metric(f"scaling.blade_seconds_{n}_points", taken, "s", "less")
+        if n > sizes[0]:
+            yield Metric(
+                f"scaling.blade_{n}_over_{sizes[0]}", taken / times[0], "×", "less", 0.5,
+                note=f"of the time for {sizes[0]} points, in one run",
+            )  # fmt: skip
 
 
 def _fits(quick: bool, tell: Tell) -> Iterator[Metric | Curve]:

@@ -99,7 +99,8 @@ def export_petals(
     from trimesh.visual.material import PBRMaterial
 
     if Path(path).suffix.lower() != ".glb":
-        raise ValueError(f"{os.fspath(path)}: the petals are written as glTF; give a name that ends in .glb.")
+        name = os.fspath(path)
+        raise ValueError(f"{name}: petals are written as glTF; give a name that ends in .glb.")
     scene = trimesh.Scene()
     for name, result in results.items():
         mesh = result.mesh(resolution)

@@ -19,6 +19,8 @@ from petalfit.results.misfit import MisfitMap as MisfitMap
 from petalfit.results.profile import Profile as Profile
 from petalfit.results.record import FitRecord as FitRecord
 from petalfit.results.record import Rank as Rank
+from petalfit.results.spread import Spread as Spread
+from petalfit.results.spread import spread_of as spread_of
 from petalfit.results.status import Status as Status
 from petalfit.results.trait import Posterior as Posterior
 from petalfit.results.trait import Trait as Trait

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import os
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
@@ -18,6 +19,7 @@ from petalfit.observations.atomic import atomic_path
 from petalfit.results.file import LARGEST, FitFile, Head, PoseOfFile, WarningOfFile
 from petalfit.results.layout import Layout
 from petalfit.results.record import FitRecord
+from petalfit.results.spread import Spread, spread_of
 from petalfit.results.warning import FitWarning
 from petalfit.schema import Count, NotNegative, SchemaError, encode
 from petalfit.surfaces import Pose
@@ -93,6 +95,27 @@ class FlowerRecord:
     def converged(self) -> bool:
         """Whether the fits of all petals converged."""
         return all(petal.converged for petal in self.petals)
+
+    @property
+    def spread(self) -> dict[str, Spread]:
+        """How alike the petals are: mean and standard deviation of every trait and parameter.
+
+        Traits come first, in the target's unit; then the parameters. What fewer than three petals
+        determine is left out.
+        """
+        found: dict[str, Spread | None] = {}
+        for name in self.petals[0].traits if self.petals else ():
+            traits = [petal.traits[name] for petal in self.petals]
+            found[name] = spread_of([t.value for t in traits], [t.stderr for t in traits])
+        for name in self.petals[0].names if self.petals else ():
+            if name not in found:
+                values = [petal.values[name] for petal in self.petals]
+                errors = [
+                    petal.stderr[name] if petal.identifiable[name] else math.inf
+                    for petal in self.petals
+                ]
+                found[name] = spread_of(values, errors)
+        return {name: spread for name, spread in found.items() if spread is not None}
 
     def mesh(self, resolution: tuple[int, int] = (65, 65)) -> trimesh.Scene:
         """The fitted petals as a scene in the target's frame, with one named mesh a petal."""

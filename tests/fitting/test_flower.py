@@ -143,7 +143,7 @@ def test_a_cloud_that_is_no_flower_is_refused_in_one_sentence() -> None:
 
 
 def test_a_bush_is_refused_before_it_is_fitted() -> None:
-    points, labels = corolla(2, each=150)
+    points, labels = corolla(2, each=60)
     leaf = points[labels == 0]
     shifts = 3.0 * np.stack(np.meshgrid(*3 * [np.arange(4)]), axis=-1).reshape(-1, 3)
     with pytest.raises(pf.TargetError, match="separate sheets, where a flower has at most"):

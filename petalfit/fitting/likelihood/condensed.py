@@ -30,8 +30,8 @@ from petalfit.surfaces import AbstractSurface
 
 ENOUGH = 4096  # points of a cloud that is not condensed
 _NODES = (257, 193)  # of the grid on which foot points are looked up
-# Bands along an edge: how far they reach inside and outside, and from where on they widen, in units of the
-# blur.
+# Bands along an edge: how far they reach inside and outside, and from where on they widen, in units of
+# the blur.
 _INSIDE, _OUTSIDE, _WIDENING = 8.0, 16.0, 6.0
 _AT_ONCE = 1 << 16  # points that are worked on at once
 _LAST = np.array(_NODES) - 1

@@ -1,0 +1,72 @@
+"""How alike several petals are: the mean and the spread of each number, apart from its errors."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import root_scalar
+
+from petalfit.results.layout import Quantity
+
+_FEWEST = 3  # petals of which a spread can be told
+
+
+@dataclasses.dataclass(frozen=True)
+class Spread:
+    """A number of several petals: what they have in common, and how much they differ.
+
+    Attributes:
+        mean: Its mean over all petals of this kind, with the standard error.
+        deviation: Its standard deviation between petals, without what their errors add, with the standard
+            error.
+        count: The number of petals that determine it.
+    """
+
+    mean: Quantity
+    deviation: Quantity
+    count: int
+
+
+def spread_of(
+    values: Sequence[float] | Float[np.ndarray, " k"],
+    errors: Sequence[float] | Float[np.ndarray, " k"],
+) -> Spread | None:
+    """The spread of values that have independent errors, by the method of Paule and Mandel (1982).
+
+    The variance between petals is the one with which the weighted squares of the differences from the
+    mean are as large as expected; 0 if the errors alone explain them.
+
+    Args:
+        values: The value of each petal.
+        errors: Their standard errors; infinite where a petal does not determine the value.
+
+    Returns:
+        The spread; None if fewer than three petals determine the value.
+    """
+    known = np.isfinite(errors) & (np.asarray(errors) > 0)
+    value, variance = np.asarray(values, float)[known], np.asarray(errors, float)[known] ** 2
+    count = len(value)
+    if count < _FEWEST:
+        return None
+
+    def weights(between: float) -> Float[np.ndarray, " k"]:
+        return 1 / (variance + between)
+
+    def excess(between: float) -> float:
+        w = weights(between)
+        return float(np.sum(w * (value - np.average(value, weights=w)) ** 2)) - (count - 1)
+
+    most = float(np.sum((value - value.mean()) ** 2)) + float(variance.max())
+    between = 0.0
+    if excess(0.0) > 0:
+        between = float(root_scalar(excess, bracket=(0.0, most)).root)
+    w = weights(between)
+    mean = Quantity(float(np.average(value, weights=w)), 1 / math.sqrt(float(w.sum())))
+    of_variance, deviation = math.sqrt(2 / float(np.sum(w**2))), math.sqrt(between)
+    # Near zero the error of the square root is that of the variance's upper end.
+    error = min(of_variance / max(2 * deviation, 1e-300), math.sqrt(of_variance))
+    return Spread(mean, Quantity(deviation, error), count)
