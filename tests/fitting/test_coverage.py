@@ -6,6 +6,7 @@ import pytest
 
 import petalfit as pf
 from petalfit.fitting.inference.coverage import Coverage, Rim
+from petalfit.fitting.outliers.local_planes import on_sheets
 from tests.fitting.conftest import noisy_cloud
 
 
@@ -99,3 +100,16 @@ def test_a_sheet_around_a_ball_is_no_petal():
     ball *= 10 / np.linalg.norm(ball, axis=1, keepdims=True)
     result = pf.fit_petal(ball, model=pf.SplinePetal, pose="similarity", throw=False)
     assert result.status == "misfit"
+
+
+def test_a_part_that_was_scanned_less_densely_is_no_clutter():
+    rng = np.random.default_rng(3)
+    dense, sparse = rng.uniform(0, 10, (900, 2)), rng.uniform([10, 0], [30, 20], (900, 2))
+    flat = np.concatenate([dense, sparse])
+    sheet = np.column_stack([flat, 0.05 * flat[:, 0] ** 2 + rng.normal(0, 0.02, len(flat))])
+    # With two densities taken for sheet and clutter, half of them would be left.
+    assert np.mean(on_sheets(sheet)) > 0.7
+    clutter = rng.uniform(sheet.min(axis=0) - 2, sheet.max(axis=0) + 2, (400, 3))
+    found = on_sheets(np.concatenate([sheet[:900], clutter]))
+    assert np.mean(found[:900]) > 0.95
+    assert np.mean(found[900:]) < 0.3

@@ -1,9 +1,12 @@
 """Sheets of a cloud are told apart, and what cannot be a flower is refused before anything is fitted."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
+from scipy.spatial import KDTree
 
 import petalfit as pf
 from petalfit.fitting.arrangement import Placed, arranged, axis_of, meeting_point
@@ -19,7 +22,9 @@ def corolla(count: int, each: int = 500, seed: int = 0) -> tuple[np.ndarray, np.
     rng = np.random.default_rng(seed)
     points, labels = [], []
     for k in range(count):
-        u, v = rng.uniform(-1, 1, each), np.sqrt(rng.uniform(0, 1, each))
+        u, tried = rng.uniform(-1, 1, each), rng.uniform(0, 1, 8 * each)
+        # Points are spread evenly: a place along the petal has them in proportion to its width.
+        v = tried[rng.uniform(0, 1, 8 * each) < np.sin(np.pi * np.clip(tried, 0.12, 0.9))][:each]
         width = 0.55 * math.sin(math.pi / count) * np.sin(np.pi * np.clip(v, 0.12, 0.9))
         lean = 0.5 + 0.9 * v
         along = np.stack([0.3 + np.sin(lean) * v, np.cos(lean) * v, u * width], axis=-1)
@@ -124,6 +129,16 @@ def test_whorls_and_spirals_are_found() -> None:
     assert layout.divergence.value == pytest.approx(golden, abs=0.01)
 
 
+@pytest.mark.parametrize("count", [3, 5, 6])
+def test_one_ring_is_a_whorl(count: int) -> None:
+    rng = np.random.default_rng(count)
+    turn = 2 * math.pi * np.arange(count) / count + 0.02 * rng.normal(size=count)
+    radius, ones = 1 + 0.01 * rng.normal(size=count), np.ones(count)
+    layout, _ = arranged(turn, radius, 0.5 * ones, 0.0 * ones, 0.01)
+    assert [whorl.count for whorl in layout.whorls] == [count]
+    assert layout.whorls[0].opening.value == pytest.approx(0.5)
+
+
 def test_random_places_are_no_arrangement() -> None:
     rng = np.random.default_rng(3)
     turn, radius = rng.uniform(0, 7, 7), rng.uniform(1, 3, 7)
@@ -148,3 +163,80 @@ def test_a_bush_is_refused_before_it_is_fitted() -> None:
     shifts = 3.0 * np.stack(np.meshgrid(*3 * [np.arange(4)]), axis=-1).reshape(-1, 3)
     with pytest.raises(pf.TargetError, match="separate sheets, where a flower has at most"):
         pf.fit_flower(np.concatenate([leaf + shift for shift in shifts]))
+
+
+@pytest.fixture(scope="module")
+def truth() -> np.ndarray:
+    return corolla(3)[1]
+
+
+@pytest.fixture(scope="module")
+def result() -> pf.FlowerResult:
+    said: list[str] = []
+    found = pf.fit_flower(corolla(3)[0], progress=said.append)
+    assert any("petal 3 of 3" in line for line in said)
+    return found
+
+
+def test_a_flower_is_taken_apart(result: pf.FlowerResult, truth: np.ndarray) -> None:
+    assert result.count == 3
+    assert result.converged
+    assert purity(truth, result.labels) > 0.97
+    assert result.memberships.shape == (len(truth), 3)
+    assert (result.memberships.sum(axis=1) <= 1 + 1e-9).all()
+    assert abs(float(np.asarray(result.axis.rotation)[1, 1])) > 0.99
+    assert [whorl.count for whorl in result.layout.whorls] == [3]
+    assert all(petal.rms < 2 * NOISE for petal in result.petals)
+
+
+def test_petals_made_alike_are_said_to_be_alike(result: pf.FlowerResult) -> None:
+    length = result.spread["length"]
+    assert length.count == 3
+    assert length.deviation.value < 0.05 * length.mean.value
+    lengths = [petal.traits["length"].value for petal in result.petals]
+    assert min(lengths) <= length.mean.value <= max(lengths)
+
+
+def test_a_flower_survives_its_files(result: pf.FlowerResult, tmp_path: Path) -> None:
+    result.save(tmp_path / "flower.json")
+    again = pf.FlowerResult.load(tmp_path / "flower.json")
+    assert np.array_equal(again.labels, result.labels)
+    assert np.allclose(again.memberships, result.memberships)
+    assert again.layout == result.layout
+    assert again.table() == result.table()
+    assert again.petals[1].values == result.petals[1].values
+    result.report(tmp_path / "one.html")
+    again.report(tmp_path / "two.html")
+    page = (tmp_path / "one.html").read_text("utf-8")
+    assert page == (tmp_path / "two.html").read_text("utf-8")
+    assert "How alike the petals are" in page
+    assert "<script" not in page
+    rows = result.table().splitlines()
+    assert len(rows) == 4
+    assert rows[0].startswith("petal,whorl,points,rms,status,length,length_stderr")
+
+
+def test_a_damaged_file_is_refused(result: pf.FlowerResult, tmp_path: Path) -> None:
+    path = tmp_path / "flower.json"
+    result.save(path)
+    text = path.read_text()
+    for damaged in (text[: len(text) // 2], text.replace('"labels": [', '"labels": [7, ', 1), "[]"):
+        path.write_text(damaged)
+        with pytest.raises(pf.TargetError):
+            pf.FlowerResult.load(path)
+
+
+def test_every_petal_is_a_named_part(result: pf.FlowerResult, tmp_path: Path) -> None:
+    result.export(tmp_path / "flower.glb")
+    scene = trimesh.load_scene(tmp_path / "flower.glb")
+    assert {"petal_1", "petal_2", "petal_3"} <= set(scene.graph.nodes)
+    assert set(result.mesh().geometry) == {"petal_1", "petal_2", "petal_3"}
+    with pytest.raises(ValueError, match=r"ends in \.glb"):
+        result.export(tmp_path / "flower.obj")
+
+
+def test_the_flower_grows_again_where_it_was_scanned(result: pf.FlowerResult) -> None:
+    points = corolla(3)[0]
+    placed = result.axis(np.asarray(result.flower().points((33, 33)), float))
+    away = np.asarray(KDTree(placed).query(points)[0])
+    assert np.median(away) < 0.02 * np.linalg.norm(np.ptp(points, axis=0))

@@ -51,11 +51,11 @@ def axis_of(placed: Placed) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray,
 
     Returns:
         The frame's axes as columns, its origin, and the standard error of the y axis in rad, which is
-        infinite for fewer than three petals.
+        infinite for fewer than four petals: of two that are left, no axis is known.
     """
     y = _common(placed)
     count, error = len(placed.base), np.inf
-    if count >= 3:
+    if count >= 4:
         others = np.stack([_common(placed.without(k)) for k in range(count)])
         angles = np.arccos(np.clip(others @ y, -1, 1))
         error = float(np.sqrt((count - 1) / count * np.sum(angles**2)))  # the jackknife

@@ -61,6 +61,9 @@ def arranged(
     ]  # fmt: skip
     guesses.append(_spiral(azimuth, radius, outside))
     best, *others = sorted(guesses, key=lambda guess: guess.bic)
+    if len(best.rings) == 1 and best.divergence is None:
+        # A spiral that comes back to its first petal is the same ring.
+        others = [guess for guess in others if not _closes(guess, count)]
     clear = not others or others[0].bic - best.bic > _CLEARLY
     kinds_agree = others and (others[0].divergence is None) == (best.divergence is None)
     if best.scatter > _REGULAR * best.random or not (clear or kinds_agree):
@@ -83,6 +86,15 @@ def arranged(
         for ring in best.rings
     )
     return Layout(LayoutKind.WHORLS, whorls, _between(whorls, error), axis_stderr), order
+
+
+def _closes(guess: _Guess, count: int) -> bool:
+    """Whether a spiral makes whole turns with all of its petals, as far as they show."""
+    if guess.divergence is None:
+        return False
+    left = math.remainder(count * guess.divergence, 2 * math.pi)
+    slope = guess.scatter * math.sqrt(12 / count**3)
+    return abs(left) < count * max(2 * slope, _LEAST)
 
 
 def _mean(values: Float[np.ndarray, " k"]) -> Quantity:

@@ -120,7 +120,8 @@ def _start(
         left, _, right = np.linalg.svd(across)
         turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
         shift = points.mean(axis=0) - reach * turn @ flat.mean(axis=0)
-    some = np.linspace(0, len(points) - 1, min(_BENT, len(points))).astype(int)
+    # Of fewer points some count twice: another number would be another program.
+    some = np.linspace(0, len(points) - 1, _BENT).astype(int)
     typical = np.array([parameters(blade)[name].typical for name in BENDS])
     may = np.isin(BENDS, free).astype(float)
     data = _Bending(
@@ -174,8 +175,7 @@ def _gaps(step: Array, data: _Bending) -> Array:
 
 def _residual(step: Array, data: _Bending) -> Array:
     held_back = _HELD_BACK * step[:10] / data.typical
-    root = 10 * (512 / len(data.points)) ** 0.5
-    return jnp.concatenate([root * _gaps(step, data).ravel(), held_back, 0.01 * step[10:]])
+    return jnp.concatenate([10 * _gaps(step, data).ravel(), held_back, 0.01 * step[10:]])
 
 
 def _best_bending(data: _Bending) -> tuple[Array, Array]:
