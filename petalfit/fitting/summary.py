@@ -177,6 +177,7 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
                 if discrepancy is None
                 else [f"Errors allow for a misfit that {discrepancy.described}."]
             ),
+            *_condensed(best),
             *verdict.symmetries(model),
         ),
         warnings=in_order(warnings),
@@ -189,6 +190,16 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
         discrepancy=discrepancy,
         in_image=in_image,
     )
+
+
+def _condensed(best: Iterate) -> list[str]:
+    """A note if a large cloud was condensed for the steps of a fit."""
+    used = best.points_used
+    if not used:
+        return []
+    return [
+        f"Steps took {used['last steps']:,} cells, which stand for all {used['residuals']:,} points."
+    ]
 
 
 def _declared(model: AbstractSurface, names: Sequence[str]) -> dict[str, Parameter]:
