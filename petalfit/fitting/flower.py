@@ -10,7 +10,14 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from petalfit.fitting.arrangement import Placed, arranged, axis_of, meeting_point
+from petalfit.fitting.arrangement import (
+    Arranged,
+    Axis,
+    Placed,
+    arranged,
+    axes_of,
+    meeting_point,
+)
 from petalfit.fitting.error import FitError
 from petalfit.fitting.families.registry import FOR_SCANS, family_of
 from petalfit.fitting.fit import check_request, fit
@@ -203,12 +210,8 @@ def _arranged(
         np.stack([base_of(petal) for petal in petals]),
         np.stack([np.asarray(petal.mesh((17, 17)).vertices).mean(axis=0) for petal in petals]),
     )
-    axes, origin, axis_stderr = axis_of(placed)
-    middle, base = (placed.middle - origin) @ axes, (placed.base - origin) @ axes
-    way = middle - base
-    azimuth, radius = np.arctan2(middle[:, 2], middle[:, 0]), np.hypot(middle[:, 0], middle[:, 2])
-    opening = np.arctan2(np.hypot(way[:, 0], way[:, 2]), way[:, 1])
-    layout, order = arranged(azimuth, radius, opening, base[:, 1], axis_stderr)
+    guesses = [(axis, _about(placed, axis)) for axis in axes_of(placed)]
+    (axes, origin, _), (layout, order, _) = min(guesses, key=lambda guess: guess[1].bic)
     members = members[:, order]
     labels: Int[np.ndarray, " n"] = np.where(
         members.max(axis=1) > 1 - members.sum(axis=1), members.argmax(axis=1), -1
@@ -226,6 +229,16 @@ def _arranged(
         rivals=tuple(rival - dropped for rival in rivals if rival > dropped),
     )
     return dataclasses.replace(result, warnings=tuple(_warnings(result)))
+
+
+def _about(placed: Placed, axis: Axis) -> Arranged:
+    """The layout of petals about an axis."""
+    middle = (placed.middle - axis.origin) @ axis.axes
+    base = (placed.base - axis.origin) @ axis.axes
+    way = middle - base
+    azimuth, radius = np.arctan2(middle[:, 2], middle[:, 0]), np.hypot(middle[:, 0], middle[:, 2])
+    opening = np.arctan2(np.hypot(way[:, 0], way[:, 2]), way[:, 1])
+    return arranged(azimuth, radius, opening, base[:, 1], axis.stderr)
 
 
 def _warnings(result: FlowerResult) -> Iterator[FitWarning]:

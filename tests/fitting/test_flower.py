@@ -9,7 +9,7 @@ import trimesh
 from scipy.spatial import KDTree
 
 import petalfit as pf
-from petalfit.fitting.arrangement import Placed, arranged, axis_of, meeting_point
+from petalfit.fitting.arrangement import Placed, arranged, axes_of, meeting_point
 from petalfit.fitting.segmentation import segments_of
 from petalfit.fitting.segmentation.members import Sheet, memberships
 from petalfit.results import LayoutKind
@@ -103,10 +103,22 @@ def test_the_axis_is_what_petals_surround() -> None:
             ],
             axis=-1,
         )
-        axes, _, error = axis_of(Placed(np.zeros((6, 3)), middle @ turn.T))
+        (axes, _, error), _ = axes_of(Placed(np.zeros((6, 3)), middle @ turn.T))
         # At a right angle to the axis nothing tells its two directions apart.
         assert abs(axes[:, 1] @ turn[:, 1]) == pytest.approx(1.0, abs=1e-6)
         assert error < 0.2
+
+
+def test_two_whorls_of_different_openings_have_one_axis() -> None:
+    rng = np.random.default_rng(4)
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    turn = turn * np.sign(np.linalg.det(turn))
+    angle = 2 * math.pi * np.arange(6) / 6
+    opening = np.where(np.arange(6) % 2 == 0, 0.6, 0.15) + 0.05 * rng.normal(size=6)
+    outwards = np.stack([np.cos(angle), 0 * angle, np.sin(angle)], axis=-1)
+    middle = np.sin(opening)[:, None] * outwards + np.cos(opening)[:, None] * [0, 1, 0]
+    _, axis = axes_of(Placed(0.05 * outwards @ turn.T, middle @ turn.T))
+    assert axis.axes[:, 1] @ turn[:, 1] > math.cos(0.06)
 
 
 def test_petals_meet_at_their_bases() -> None:
@@ -119,12 +131,12 @@ def test_whorls_and_spirals_are_found() -> None:
     ones, golden = np.ones(6), math.pi * (3 - math.sqrt(5))
     turn = math.pi / 3 * np.arange(6)
     radius = np.where(np.arange(6) % 2 == 0, 2.0, 1.0) + 0.01 * np.arange(6)
-    layout, order = arranged(turn, radius, 0.3 * ones, 0.0 * ones, 0.01)
+    layout, order, _ = arranged(turn, radius, 0.3 * ones, 0.0 * ones, 0.01)
     assert [whorl.count for whorl in layout.whorls] == [3, 3]
     assert sorted(order[:3]) == [0, 2, 4]
     assert layout.divergence.value == pytest.approx(math.pi / 3, abs=0.05)
     step = np.arange(8)
-    layout, _ = arranged(golden * step, 3 - 0.2 * step, 0.3 + 0 * step, 0.0 * step, 0.01)
+    layout, *_ = arranged(golden * step, 3 - 0.2 * step, 0.3 + 0 * step, 0.0 * step, 0.01)
     assert layout.kind is LayoutKind.SPIRAL
     assert layout.divergence.value == pytest.approx(golden, abs=0.01)
 
@@ -134,7 +146,7 @@ def test_one_ring_is_a_whorl(count: int) -> None:
     rng = np.random.default_rng(count)
     turn = 2 * math.pi * np.arange(count) / count + 0.02 * rng.normal(size=count)
     radius, ones = 1 + 0.01 * rng.normal(size=count), np.ones(count)
-    layout, _ = arranged(turn, radius, 0.5 * ones, 0.0 * ones, 0.01)
+    layout, *_ = arranged(turn, radius, 0.5 * ones, 0.0 * ones, 0.01)
     assert [whorl.count for whorl in layout.whorls] == [count]
     assert layout.whorls[0].opening.value == pytest.approx(0.5)
 
@@ -142,7 +154,7 @@ def test_one_ring_is_a_whorl(count: int) -> None:
 def test_random_places_are_no_arrangement() -> None:
     rng = np.random.default_rng(3)
     turn, radius = rng.uniform(0, 7, 7), rng.uniform(1, 3, 7)
-    layout, order = arranged(turn, radius, np.ones(7), np.ones(7), 0.1)
+    layout, order, _ = arranged(turn, radius, np.ones(7), np.ones(7), 0.1)
     assert layout.kind is LayoutKind.NOT_DETERMINED
     assert (np.diff(radius[order]) <= 0).all()
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +10,7 @@ from jaxtyping import Float
 from scipy.spatial import KDTree
 
 _CANDIDATES = 1500
+_LEAST = 0.2  # length of the mean of the petals' directions, from which it is one
 _SHARED = 0.1  # weight of the mean direction beside equal inclination
 
 
@@ -43,20 +44,36 @@ def meeting_point(segments: Sequence[Float[np.ndarray, "_ 3"]]) -> Float[np.ndar
     return some[int(np.argmin(away))]
 
 
-def axis_of(placed: Placed) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"], float]:
+class Axis(NamedTuple):
     """The frame of a flower and how sure its axis is.
 
-    The y axis is the direction that all petals have in common, and to which they are inclined by the
-    most equal angles.
-
-    Returns:
-        The frame's axes as columns, its origin, and the standard error of the y axis in rad, which is
-        infinite for fewer than four petals: of two that are left, no axis is known.
+    Attributes:
+        axes: The frame's axes as columns; y is the flower's axis.
+        origin: Its origin, in the middle of the petals' bases.
+        stderr: The standard error of the y axis in rad, which is infinite for fewer than four petals: of
+            two that are left, no axis is known.
     """
-    y = _common(placed)
+
+    axes: Float[np.ndarray, "3 3"]
+    origin: Float[np.ndarray, "3"]
+    stderr: float
+
+
+def axes_of(placed: Placed) -> list[Axis]:
+    """Two guesses of the axis of a flower, of which the arrangement of the petals shows the better one.
+
+    The first is the direction to which all petals are inclined by the most equal angles: right for one
+    whorl, even if petals are missing. The second is their mean direction: right for several whorls of
+    different angles, as long as each is complete.
+    """
+    return [_axis(placed, common) for common in (_equally_inclined, _mean)]
+
+
+def _axis(placed: Placed, common: Callable[[Placed], Float[np.ndarray, "3"]]) -> Axis:
+    y = common(placed)
     count, error = len(placed.base), np.inf
     if count >= 4:
-        others = np.stack([_common(placed.without(k)) for k in range(count)])
+        others = np.stack([common(placed.without(k)) for k in range(count)])
         angles = np.arccos(np.clip(others @ y, -1, 1))
         error = float(np.sqrt((count - 1) / count * np.sum(angles**2)))  # the jackknife
     outwards = placed.middle[0] - placed.base[0]
@@ -65,10 +82,19 @@ def axis_of(placed: Placed) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray,
         x = np.eye(3)[int(np.argmin(np.abs(y)))]
         x = x - (x @ y) * y
     x = x / np.linalg.norm(x)
-    return np.stack([x, y, np.cross(x, y)], axis=-1), placed.base.mean(axis=0), error
+    axes = np.stack([x, y, np.cross(x, y)], axis=-1)
+    return Axis(axes, placed.base.mean(axis=0), error)
 
 
-def _common(placed: Placed) -> Float[np.ndarray, "3"]:
+def _mean(placed: Placed) -> Float[np.ndarray, "3"]:
+    mean = placed.direction.mean(axis=0)
+    # Petals at right angles to their axis have no mean direction.
+    return (
+        mean / np.linalg.norm(mean) if np.linalg.norm(mean) > _LEAST else _equally_inclined(placed)
+    )
+
+
+def _equally_inclined(placed: Placed) -> Float[np.ndarray, "3"]:
     direction = placed.direction
     mean = direction.mean(axis=0)
     spread = direction - mean

@@ -17,6 +17,20 @@ _ANGLES = 720  # divergences that are tried
 UNKNOWN = Quantity(0.0, math.inf)
 
 
+class Arranged(NamedTuple):
+    """The layout of petals about an axis.
+
+    Attributes:
+        layout: The layout.
+        order: The petals in its order: the outermost first, and in a whorl by their angle.
+        bic: Its information criterion, by which axes are compared; infinite without a regular layout.
+    """
+
+    layout: Layout
+    order: Int[np.ndarray, " k"]
+    bic: float
+
+
 class _Guess(NamedTuple):
     """An arrangement with its evidence.
 
@@ -41,8 +55,8 @@ def arranged(
     opening: Float[np.ndarray, " k"],
     height: Float[np.ndarray, " k"],
     axis_stderr: float,
-) -> tuple[Layout, Int[np.ndarray, " k"]]:
-    """The layout of petals, and their order in it: the outermost first, and in a whorl by their angle.
+) -> Arranged:
+    """The layout of petals about an axis.
 
     Args:
         azimuth: Their angles about the flower's axis, in rad.
@@ -54,7 +68,7 @@ def arranged(
     count, outside = len(azimuth), np.argsort(-radius, kind="stable")
     unknown = Layout(LayoutKind.NOT_DETERMINED, (), UNKNOWN, axis_stderr)
     if count < 3:
-        return unknown, outside
+        return Arranged(unknown, outside, math.inf)
     guesses = [
         _whorls(azimuth, radius, outside, rings) for rings in range(1, count // 2 + 1)
         if count % rings == 0
@@ -67,13 +81,14 @@ def arranged(
     clear = not others or others[0].bic - best.bic > _CLEARLY
     kinds_agree = others and (others[0].divergence is None) == (best.divergence is None)
     if best.scatter > _REGULAR * best.random or not (clear or kinds_agree):
-        return unknown, outside
+        return Arranged(unknown, outside, math.inf)
     error = best.scatter / math.sqrt(count)
     if best.divergence is not None:
         # The divergence is the slope of the azimuths.
         slope = best.scatter * math.sqrt(12 / count**3)
         divergence = Quantity(best.divergence, slope)
-        return Layout(LayoutKind.SPIRAL, (), divergence, axis_stderr), outside
+        layout = Layout(LayoutKind.SPIRAL, (), divergence, axis_stderr)
+        return Arranged(layout, outside, best.bic)
     order = np.array([k for ring in best.rings for k in ring])
     place = {int(k): number for number, k in enumerate(order)}
     whorls = tuple(
@@ -85,7 +100,8 @@ def arranged(
         )
         for ring in best.rings
     )
-    return Layout(LayoutKind.WHORLS, whorls, _between(whorls, error), axis_stderr), order
+    layout = Layout(LayoutKind.WHORLS, whorls, _between(whorls, error), axis_stderr)
+    return Arranged(layout, order, best.bic)
 
 
 def _closes(guess: _Guess, count: int) -> bool:
