@@ -20,12 +20,13 @@ from petalfit.results.status import Status
 from petalfit.results.trait import TRAITS
 from petalfit.results.warning import WarningKind
 from petalfit.schema import Count, Finite, NotNegative, Positive, SchemaError
-from petalfit.surfaces import AbstractSurface, with_value
+from petalfit.surfaces import AbstractSurface, Pose, with_value
 
 FORMAT = "petalfit.FitResult"
 VERSION = 5
 LARGEST = 2_000_000_000  # bytes
 _ROUNDING = 1e-6  # a result at a bound may lie beyond it by rounding
+_GREATEST = 1e100  # of a length in a file: volumes of more are no numbers
 
 
 @dataclasses.dataclass(frozen=True)
@@ -121,6 +122,22 @@ class FitFile(msgspec.Struct, kw_only=True):
 
 
 Row = tuple[Finite, Finite, Finite]
+
+
+def pose_of(pose: PoseOfFile) -> Pose:
+    """The pose that a file holds.
+
+    Raises:
+        SchemaError: It is no rotation with a scale and a shift of a size that scans have.
+    """
+    rotation = np.array(pose.rotation)
+    turns = bool((np.abs(rotation) < 2).all())
+    if not (turns and np.allclose(rotation @ rotation.T, np.eye(3), atol=_ROUNDING)):
+        raise SchemaError("the pose is no rotation")
+    sizes = np.abs([pose.scale, *pose.translation])
+    if not (sizes.max() < _GREATEST and sizes[0] > 1 / _GREATEST):
+        raise SchemaError("the pose is larger or smaller than any scan")
+    return Pose(rotation, np.array(pose.translation), pose.scale)
 
 
 def matrix(rows: Sequence[Sequence[float]]) -> Float64[np.ndarray, "p p"]:
@@ -223,9 +240,6 @@ def _laws(file: FitFile, model: AbstractSurface) -> Iterator[tuple[bool, str]]:
         np.allclose(errors, given, rtol=_ROUNDING, atol=0, equal_nan=True),
         ("stderr are not the roots of the covariance's diagonal"),
     )
-    rotation = np.array(file.pose.rotation)
-    yield bool((np.abs(rotation) < 2).all()), "the pose is no rotation"
-    yield np.allclose(rotation @ rotation.T, np.eye(3), atol=_ROUNDING), "the pose is no rotation"
     if file.posterior is not None:
         own = file.posterior.names
         yield (

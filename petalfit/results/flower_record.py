@@ -16,7 +16,7 @@ from petalfit import schema
 from petalfit.components import models
 from petalfit.observations import PointCloud, TargetError, observation_from_json
 from petalfit.observations.atomic import atomic_path
-from petalfit.results.file import LARGEST, FitFile, Head, PoseOfFile, WarningOfFile
+from petalfit.results.file import LARGEST, FitFile, Head, PoseOfFile, WarningOfFile, pose_of
 from petalfit.results.layout import Layout
 from petalfit.results.record import FitRecord
 from petalfit.results.spread import Spread, spread_of
@@ -192,13 +192,12 @@ class FlowerRecord:
         numbers = {k for whorl in file.layout.whorls for k in whorl.petals}
         if not numbers <= set(range(len(petals))):
             raise SchemaError("a whorl names a petal that is not there")
-        pose = Pose(np.array(file.axis.rotation), np.array(file.axis.translation), file.axis.scale)
         return cls(
             target=target,
             petals=petals,
             labels=labels,
             memberships=np.array(file.memberships, float).reshape(len(target), len(petals)),
-            axis=pose,
+            axis=pose_of(file.axis),
             layout=file.layout,
             rivals=file.rivals,
             warnings=tuple(FitWarning(w.text, w.kind, w.parameters) for w in file.warnings),

@@ -30,6 +30,7 @@ from petalfit.results.file import (
     check,
     matrix,
     model_of,
+    pose_of,
 )
 from petalfit.results.misfit import MisfitMap
 from petalfit.results.profile import Profile
@@ -250,9 +251,7 @@ class FitRecord(Estimate):
         check(file, model)
         kept = {field.name for field in dataclasses.fields(cls)} & set(FitFile.__struct_fields__)
         fields: dict[str, Any] = {name: getattr(file, name) for name in kept}
-        fields["pose"] = Pose(
-            np.array(file.pose.rotation), np.array(file.pose.translation), file.pose.scale
-        )
+        fields["pose"] = pose_of(file.pose)
         fields["covariance"] = matrix(file.covariance)
         fields["posterior"] = file.posterior and Posterior(
             file.posterior.names, matrix(file.posterior.covariance)

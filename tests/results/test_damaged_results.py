@@ -151,3 +151,12 @@ def test_a_mask_unpacks_to_no_more_than_its_shape():
         assert tracemalloc.get_traced_memory()[1] < 10_000_000
     finally:
         tracemalloc.stop()
+
+
+@pytest.mark.parametrize("scale", [1e180, 1e-180])
+def test_a_pose_beyond_all_scans_is_refused(scale, tmp_path, tmp_path_factory):
+    content = json.loads(files(tmp_path_factory.getbasetemp())[0])
+    content["pose"]["scale"] = scale
+    (tmp_path / "fit.json").write_text(json.dumps(content))
+    with pytest.raises(pf.TargetError, match="larger or smaller than any scan"):
+        pf.FitResult.load(tmp_path / "fit.json")
