@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
+import msgspec
 import numpy as np
 from jaxtyping import Bool, Float64
 
@@ -37,6 +38,15 @@ if TYPE_CHECKING:
 
 # Points that are sampled or measured seldom coincide; a place that many of them share is named.
 _MANY_COINCIDE, _LARGE_SHARE_COINCIDES = 10, 0.01
+
+
+class _Columns(msgspec.Struct):
+    """What a file holds of a cloud."""
+
+    points: list[list[float]]
+    normals: list[list[float]] | None
+    weights: list[float] | None
+    colours: list[list[float]] | None
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
@@ -173,8 +183,7 @@ class PointCloud(AbstractObservation):
 
     @classmethod
     def from_json(cls, content: dict[str, Any]) -> "PointCloud":
-        parts = ("points", "normals", "weights", "colours")
-        return cls(**{name: content[name] for name in parts})
+        return cls(**msgspec.structs.asdict(msgspec.convert(content, _Columns)))
 
     @classmethod
     def load(

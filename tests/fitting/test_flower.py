@@ -13,6 +13,7 @@ from petalfit.fitting.arrangement import Placed, arranged, axes_of, meeting_poin
 from petalfit.fitting.segmentation import segments_of
 from petalfit.fitting.segmentation.members import Sheet, memberships
 from petalfit.results import LayoutKind
+from tests.mutations import damaged
 
 NOISE = 0.004
 
@@ -236,6 +237,24 @@ def test_a_damaged_file_is_refused(result: pf.FlowerResult, tmp_path: Path) -> N
         path.write_text(damaged)
         with pytest.raises(pf.TargetError):
             pf.FlowerResult.load(path)
+
+
+def test_a_mutated_file_is_refused_or_usable(result: pf.FlowerResult, tmp_path: Path) -> None:
+    path = tmp_path / "flower.json"
+    result.save(path)
+    content = path.read_bytes()
+    for seed in range(60):
+        path.write_bytes(damaged(content, seed))
+        try:
+            again = pf.FlowerResult.load(path)
+        except pf.TargetError as error:
+            assert str(path) in str(error)
+            assert len(str(error)) < 1000 + len(str(path))
+            continue
+        assert np.isfinite(again.mesh((5, 5)).bounds).all()
+        assert again.table().count("\n") == again.count + 1
+        again.report(tmp_path / "page.html")
+        assert "<img" not in (tmp_path / "page.html").read_text("utf-8")
 
 
 def test_every_petal_is_a_named_part(result: pf.FlowerResult, tmp_path: Path) -> None:
