@@ -233,8 +233,8 @@ def test_a_damaged_file_is_refused(result: pf.FlowerResult, tmp_path: Path) -> N
     path = tmp_path / "flower.json"
     result.save(path)
     text = path.read_text()
-    for damaged in (text[: len(text) // 2], text.replace('"labels": [', '"labels": [7, ', 1), "[]"):
-        path.write_text(damaged)
+    for cut in (text[: len(text) // 2], text.replace('"labels": [', '"labels": [7, ', 1), "[]"):
+        path.write_text(cut)
         with pytest.raises(pf.TargetError):
             pf.FlowerResult.load(path)
 
@@ -242,19 +242,19 @@ def test_a_damaged_file_is_refused(result: pf.FlowerResult, tmp_path: Path) -> N
 def test_a_mutated_file_is_refused_or_usable(result: pf.FlowerResult, tmp_path: Path) -> None:
     path = tmp_path / "flower.json"
     result.save(path)
-    content = path.read_bytes()
+    content, refusals = path.read_bytes(), []
     for seed in range(60):
         path.write_bytes(damaged(content, seed))
         try:
             again = pf.FlowerResult.load(path)
         except pf.TargetError as error:
-            assert str(path) in str(error)
-            assert len(str(error)) < 1000 + len(str(path))
+            refusals.append(str(error))
             continue
         assert np.isfinite(again.mesh((5, 5)).bounds).all()
         assert again.table().count("\n") == again.count + 1
         again.report(tmp_path / "page.html")
         assert "<img" not in (tmp_path / "page.html").read_text("utf-8")
+    assert all(str(path) in said and len(said) < 1000 + len(str(path)) for said in refusals)
 
 
 def test_every_petal_is_a_named_part(result: pf.FlowerResult, tmp_path: Path) -> None:
