@@ -48,7 +48,7 @@ class BladeFamily(OpenSurfaceFamily):
     def followed(self, starts: Sequence[CloudStart]) -> Sequence[CloudStart]:
         """Both ends of a long blade; of one as wide as long, every direction."""
         best, *_ = found = cast(Sequence[BladeStart], starts)
-        return found if best.is_round else found[:2]
+        return found if best.is_round else super().followed(found)
 
     def labels(self, starts: Sequence[CloudStart]) -> list[str]:
         best, *_ = found = cast(Sequence[BladeStart], starts)
