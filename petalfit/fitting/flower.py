@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from petalfit.fitting.arrangement import (
+    CLEARLY,
     Arranged,
     Axis,
     Placed,
@@ -211,7 +212,8 @@ def _arranged(
         np.stack([np.asarray(petal.mesh((17, 17)).vertices).mean(axis=0) for petal in petals]),
     )
     guesses = [(axis, _about(placed, axis)) for axis in axes_of(placed)]
-    (axes, origin, _), (layout, order, _) = min(guesses, key=lambda guess: guess[1].bic)
+    first, second = (found.bic for _, found in guesses)
+    (axes, origin, _), (layout, order, _) = guesses[int(second < first - CLEARLY)]
     members = members[:, order]
     labels: Int[np.ndarray, " n"] = np.where(
         members.max(axis=1) > 1 - members.sum(axis=1), members.argmax(axis=1), -1

@@ -4,5 +4,6 @@ from petalfit.fitting.arrangement.axis import Axis as Axis
 from petalfit.fitting.arrangement.axis import Placed as Placed
 from petalfit.fitting.arrangement.axis import axes_of as axes_of
 from petalfit.fitting.arrangement.axis import meeting_point as meeting_point
+from petalfit.fitting.arrangement.whorls import CLEARLY as CLEARLY
 from petalfit.fitting.arrangement.whorls import Arranged as Arranged
 from petalfit.fitting.arrangement.whorls import arranged as arranged

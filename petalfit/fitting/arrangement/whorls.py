@@ -12,7 +12,7 @@ from petalfit.results import Layout, LayoutKind, Quantity, Whorl
 
 _LEAST = 0.02  # rad; azimuths are not known better
 _REGULAR = 0.4  # scatter of the azimuths, by that of random ones, below which they are regular
-_CLEARLY = 6.0  # difference in BIC from the next arrangement
+CLEARLY = 6.0  # difference in BIC from the next arrangement
 _ANGLES = 720  # divergences that are tried
 UNKNOWN = Quantity(0.0, math.inf)
 
@@ -75,10 +75,17 @@ def arranged(
     ]  # fmt: skip
     guesses.append(_spiral(azimuth, radius, outside))
     best, *others = sorted(guesses, key=lambda guess: guess.bic)
+    if best.divergence is None:
+        # More rings than the petals clearly show are none.
+        best = min(
+            (g for g in guesses if g.divergence is None and g.bic < best.bic + CLEARLY),
+            key=lambda guess: len(guess.rings),
+        )
+        others = sorted((g for g in guesses if g is not best), key=lambda guess: guess.bic)
     if len(best.rings) == 1 and best.divergence is None:
         # A spiral that comes back to its first petal is the same ring.
         others = [guess for guess in others if not _closes(guess, count)]
-    clear = not others or others[0].bic - best.bic > _CLEARLY
+    clear = not others or others[0].bic - best.bic > CLEARLY
     kinds_agree = others and (others[0].divergence is None) == (best.divergence is None)
     if best.scatter > _REGULAR * best.random or not (clear or kinds_agree):
         return Arranged(unknown, outside, math.inf)
