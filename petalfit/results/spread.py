@@ -8,7 +8,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import root_scalar
 
 from petalfit.results.layout import Quantity
 
@@ -63,6 +62,8 @@ def spread_of(
     most = float(np.sum((value - value.mean()) ** 2)) + float(variance.max())
     between = 0.0
     if excess(0.0) > 0:
+        from scipy.optimize import root_scalar
+
         between = float(root_scalar(excess, bracket=(0.0, most)).root)
     w = weights(between)
     mean = Quantity(float(np.average(value, weights=w)), 1 / math.sqrt(float(w.sum())))

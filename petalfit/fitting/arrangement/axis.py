@@ -88,10 +88,9 @@ def _axis(placed: Placed, common: Callable[[Placed], Float[np.ndarray, "3"]]) ->
 
 def _mean(placed: Placed) -> Float[np.ndarray, "3"]:
     mean = placed.direction.mean(axis=0)
+    long = np.linalg.norm(mean)
     # Petals at right angles to their axis have no mean direction.
-    return (
-        mean / np.linalg.norm(mean) if np.linalg.norm(mean) > _LEAST else _equally_inclined(placed)
-    )
+    return mean / long if long > _LEAST else _equally_inclined(placed)
 
 
 def _equally_inclined(placed: Placed) -> Float[np.ndarray, "3"]:

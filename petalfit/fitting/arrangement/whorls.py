@@ -74,26 +74,23 @@ def arranged(
         if count % rings == 0
     ]  # fmt: skip
     guesses.append(_spiral(azimuth, radius, outside))
-    best, *others = sorted(guesses, key=lambda guess: guess.bic)
+    ranked = sorted(guesses, key=lambda guess: guess.bic)
+    best = ranked[0]
     if best.divergence is None:
         # More rings than the petals clearly show are none.
-        best = min(
-            (g for g in guesses if g.divergence is None and g.bic < best.bic + CLEARLY),
-            key=lambda guess: len(guess.rings),
-        )
-        others = sorted((g for g in guesses if g is not best), key=lambda guess: guess.bic)
-    if len(best.rings) == 1 and best.divergence is None:
-        # A spiral that comes back to its first petal is the same ring.
-        others = [guess for guess in others if not _closes(guess, count)]
+        near = [g for g in ranked if g.divergence is None and g.bic < best.bic + CLEARLY]
+        best = min(near, key=lambda guess: len(guess.rings))
+        if len(best.rings) == 1:
+            # A spiral that comes back to its first petal is the same ring.
+            ranked = [guess for guess in ranked if not _closes(guess, count)]
+    others = [guess for guess in ranked if guess is not best]
     clear = not others or others[0].bic - best.bic > CLEARLY
     kinds_agree = others and (others[0].divergence is None) == (best.divergence is None)
     if best.scatter > _REGULAR * best.random or not (clear or kinds_agree):
         return Arranged(unknown, outside, math.inf)
     error = best.scatter / math.sqrt(count)
     if best.divergence is not None:
-        # The divergence is the slope of the azimuths.
-        slope = best.scatter * math.sqrt(12 / count**3)
-        divergence = Quantity(best.divergence, slope)
+        divergence = Quantity(best.divergence, _error_of_divergence(best, count))
         layout = Layout(LayoutKind.SPIRAL, (), divergence, axis_stderr)
         return Arranged(layout, outside, best.bic)
     order = np.array([k for ring in best.rings for k in ring])
@@ -116,8 +113,12 @@ def _closes(guess: _Guess, count: int) -> bool:
     if guess.divergence is None:
         return False
     left = math.remainder(count * guess.divergence, 2 * math.pi)
-    slope = guess.scatter * math.sqrt(12 / count**3)
-    return abs(left) < count * max(2 * slope, _LEAST)
+    return abs(left) < count * max(2 * _error_of_divergence(guess, count), _LEAST)
+
+
+def _error_of_divergence(guess: _Guess, count: int) -> float:
+    """The standard error of a spiral's divergence, which is the slope of the azimuths."""
+    return guess.scatter * math.sqrt(12 / count**3)
 
 
 def _mean(values: Float[np.ndarray, " k"]) -> Quantity:
