@@ -18,10 +18,11 @@ from tests.browser import browser as browser
 # Before anything imports petalfit: what is imported earlier stays unchecked.
 install_import_hook("petalfit", "beartype.beartype")
 
-# Compilation makes a first example slow, so no deadlines; CI tries the same examples every time.
-settings.register_profile("default", deadline=None)
-settings.register_profile("ci", deadline=None, derandomize=True, database=None, print_blob=True)
-settings.load_profile("ci" if os.environ.get("CI") else "default")
+# Compilation makes a first example slow, so no deadlines. The same examples are tried every time and
+# everywhere; `pytest --hypothesis-profile explore` tries others.
+settings.register_profile("default", deadline=None, derandomize=True, database=None)
+settings.register_profile("explore", deadline=None, print_blob=True)
+settings.load_profile("default")
 
 
 # What Program asks of the compiler, for programs that do not come from one: two fifths less to wait for.

@@ -1,6 +1,8 @@
 """Conversion between sRGB, which pictures store, and linear light, in which colours mix.
 
-The formulas are those of IEC 61966-2-1.
+The formulas are those of IEC 61966-2-1. Its limits below which the curve is a line are rounded:
+0.0031308 of light is 0.04044998 in sRGB, not 0.04045. The limit of light here lies in the gap that
+the curve of 0.04045 leaves, so that both conversions are inverse to each other everywhere.
 """
 
 from __future__ import annotations
@@ -11,21 +13,25 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+_SLOPE = 12.92
+_LINE_END = 0.04045  # in sRGB
+_LINE_END_OF_LIGHT = 0.003130806
+
 _HEX = re.compile(r"#[0-9a-fA-F]{6}")
 
 
 def to_linear(srgb: Float[Array | np.ndarray, "*shape"]) -> Float[Array, "*shape"]:
     """Converts sRGB values to linear light, both in [0, 1]."""
     srgb = jnp.asarray(srgb)
-    curved = ((jnp.maximum(srgb, 0.04045) + 0.055) / 1.055) ** 2.4
-    return jnp.where(srgb <= 0.04045, srgb / 12.92, curved)
+    curved = ((jnp.maximum(srgb, _LINE_END) + 0.055) / 1.055) ** 2.4
+    return jnp.where(srgb <= _LINE_END, srgb / _SLOPE, curved)
 
 
 def to_srgb(linear: Float[Array | np.ndarray, "*shape"]) -> Float[Array, "*shape"]:
     """Converts linear light to sRGB values, both in [0, 1]."""
     linear = jnp.asarray(linear)
-    curved = 1.055 * jnp.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055
-    return jnp.where(linear <= 0.0031308, 12.92 * linear, curved)
+    curved = 1.055 * jnp.maximum(linear, _LINE_END_OF_LIGHT) ** (1 / 2.4) - 0.055
+    return jnp.where(linear <= _LINE_END_OF_LIGHT, _SLOPE * linear, curved)
 
 
 def from_hex(text: str) -> Float[np.ndarray, "3"]:

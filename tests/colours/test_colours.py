@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 import petalfit as pf
@@ -87,6 +87,7 @@ def test_gradients_are_finite_where_a_root_begins(pattern):
 
 
 @given(st.lists(st.floats(0, 1), min_size=3, max_size=3))
+@example([0.04045, np.nextafter(0.04045, 0), np.nextafter(0.04045, 1)])
 def test_srgb_and_linear_light_are_inverse(colour):
     srgb = np.array(colour)
     np.testing.assert_allclose(to_srgb(to_linear(srgb)), srgb, atol=1e-9)
