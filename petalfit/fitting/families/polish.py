@@ -65,7 +65,7 @@ def polished(
     The second stage so starts within a few standard errors of its end.
     """
     if len(scan.order) > 2 * START_POINTS:
-        some = scan.order[:START_POINTS]
+        some = scan.some(START_POINTS)
         model = _polished_on(scan, coordinates, model, some, 10, 0.1, prior)[0].model
     end, weights = _polished_on(
         scan, coordinates, model, np.arange(len(scan.points)), _ROUNDS, _TOLERANCE, prior

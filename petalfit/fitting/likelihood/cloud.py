@@ -110,12 +110,24 @@ class ObservedCloud(AbstractObserved):
 
     def _mixture(self, model: AbstractSurface, term: TangentDistance) -> Mixture:
         assert self.weigh is not None
-        here, points = programs.frames(model, term.uv), self.data.points
-        distance = np.asarray(here.distance(points))
-        beyond = np.max(np.asarray(here.beyond(points)), axis=-1)
         given = float(self.data.sigma)
         noise = None if np.isnan(given) else given
-        return self.weigh(model, distance, beyond, np.asarray(self.data.weights), noise)
+        return self.weigh(model, *self.apart(model, term), np.asarray(self.data.weights), noise)
+
+    def apart(
+        self, model: AbstractSurface, term: TangentDistance
+    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+        """How far points are from the surface and beyond its edge, negative inside; of padding too.
+
+        Some points far from a surface have no foot point that a search can settle on. The way along the
+        surface, from the place that was reached to below the point, counts as well: such a point would
+        else seem to lie in the surface where it only lies in the tangent plane of that place.
+        """
+        here, points = programs.frames(model, term.uv), np.asarray(self.data.points)
+        distance, beyond = np.asarray(here.distance(points)), np.asarray(here.beyond(points))
+        whole = np.sum((points - np.asarray(here.position)) ** 2, axis=-1)
+        over = np.sum(np.maximum(beyond, 0.0) ** 2, axis=-1)
+        return np.sqrt(np.maximum(whole - over, distance**2)), np.max(beyond, axis=-1)
 
     def information(
         self, coordinates: Coordinates, t: np.ndarray, term: AbstractTerm

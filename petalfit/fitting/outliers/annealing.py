@@ -57,17 +57,14 @@ def approach(
     term, scale, n = cloud.match(model, None), np.inf, len(points)
     least = _EXACT * float(np.linalg.norm(np.ptp(points, axis=0)))
     while True:
-        distance = np.abs(
-            signed_distance(*cloud.beside(coordinates, coordinates.inverse(model), term))[:n]
-        )
+        distance = signed_distance(*cloud.apart(model, term))[:n]
         narrowest = max(_NARROWEST * spread_of(distance[likely]), least)
         scale = min(_WIDEST / _NARROWEST * narrowest, scale)
         kept = base * geman_mcclure(distance, max(scale, narrowest))
         end = _followed(coordinates, model, points, kept, None, term, 2, 0.3)
         model, term = end.model, cloud.match(end.model, term_of(end))
         if scale <= narrowest:
-            beside = cloud.beside(coordinates, coordinates.inverse(model), term)
-            found = background.mixture(model, *beside, weights, None)
+            found = background.mixture(model, *cloud.apart(model, term), weights, None)
             return dataclasses.replace(end, mixture=found)
         scale *= _NARROWING
 
@@ -98,8 +95,7 @@ def clear(
     cloud = ObservedCloud(pad(points, weights, noise))
     term, rounds, members = cloud.match(model, None), 0, None
     while True:
-        beside = cloud.beside(coordinates, coordinates.inverse(model), term)
-        found = background.mixture(model, *beside, weights, noise)
+        found = background.mixture(model, *cloud.apart(model, term), weights, noise)
         kept = weights * found.members
         end = _followed(coordinates, model, points, kept, noise, term, _AT_ONCE, _TOLERANCE, prior)
         rounds, model, term = rounds + end.rounds, end.model, term_of(end)

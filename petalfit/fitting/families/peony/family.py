@@ -130,7 +130,7 @@ def _from_anywhere(
     if "rib_amplitude" in free:
         smooth = with_values(template, {"rib_amplitude": 0.0})
     placed = placed_petals(smooth, free, likely, pose)
-    some = scan.order[:_APPROACH_POINTS]
+    some = scan.some(_APPROACH_POINTS)
     points, weights = scan.points[some], scan.weights[some]
     background = scan.background or Clutter.around(scan.points)
 
