@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -35,6 +36,44 @@ def among_strays(points: np.ndarray, share: float, rng: np.random.Generator) -> 
     margin = 0.25 * (high - low) + 0.05 * np.max(high - low)
     strays = rng.uniform(low - margin, high + margin, (round(share * len(points)), 3))
     return np.concatenate([points[: len(points) - len(strays)], strays])
+
+
+class Buried(NamedTuple):
+    """A petal somewhere among clutter, and what was seen of it.
+
+    Attributes:
+        petal: The petal.
+        points: 2,000 points of it, from three quadrants, and those of the clutter, in random order.
+        inside: Whether each point belongs to the petal.
+    """
+
+    petal: pf.PeonyPetal
+    points: np.ndarray
+    inside: np.ndarray
+
+
+def buried(seed: int, share: float, count: int = 2000) -> Buried:
+    """A petal of which a quadrant was not seen, with clutter in its own box, in a random rigid pose.
+
+    Args:
+        seed: The number of the petal, its points and its pose.
+        share: The share of all points that are clutter.
+        count: Number of points of the petal.
+    """
+    rng = np.random.default_rng([seed, 21])
+    petal = petal_of(seed)
+    with jax.enable_x64(True):
+        uv = sample_uv(petal, 2 * count, rng)
+        uv = uv[~((uv[:, 0] > 0) & (uv[:, 1] > 0.5))][:count]
+        points = np.asarray(petal(*uv.T))
+    points = points + SIGMA * rng.standard_normal(points.shape)
+    strays = round(count * share / (1 - share))
+    anywhere = rng.uniform(points.min(axis=0), points.max(axis=0), (strays, 3))
+    turn, _ = np.linalg.qr(rng.standard_normal((3, 3)))
+    shift, order = rng.uniform(-50, 50, 3), rng.permutation(count + strays)
+    turn *= np.linalg.det(turn)
+    points = np.concatenate([points, anywhere]) @ turn.T + shift
+    return Buried(petal, points[order], order < count)
 
 
 def off(

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import petalfit as pf
 from benchmarks.metric import Curve, Metric, Tell
-from benchmarks.targets import SIGMA, among_strays, errors, petal_of
+from benchmarks.targets import SIGMA, among_strays, buried, errors, petal_of
 
 _POINTS = 2000
 
@@ -30,6 +30,13 @@ def run(quick: bool, tell: Tell) -> Iterator[Metric | Curve]:
             "robustness.clutter", [100 * x for x in clutter], rates, "clutter / %", "found",
             group="clutter",
         )  # fmt: skip
+    shares = (0.6,) if quick else (0.4, 0.6, 0.8)
+    for share in shares:
+        trials = []
+        for seed in range(petals):
+            tell(f"buried under {share:.0%}, petal {seed + 1} of {petals}")
+            trials.append(_unburied(seed, share))
+        yield Metric.rate(f"robustness.buried_{100 * share:.0f}", trials, 0.51 if quick else 0.11)
     noises = (0.2,) if quick else (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
     rates = []
     for noise in noises:
@@ -78,3 +85,11 @@ def _found(
         for name in ("a_x", "b_y")
     )
     return bool(near and off["rib_frequency"] < 1)
+
+
+def _unburied(seed: int, share: float) -> bool:
+    """Whether a petal without a quadrant comes back: a_x to 3 %, b_y to 2 %, the rib frequency to 1 %."""
+    petal, points, _ = buried(seed, share)
+    result = pf.fit_petal(points, pose="rigid", loss="robust", throw=False)
+    off = errors(result.values, petal, ("a_x", "b_y", "rib_frequency"))
+    return off["a_x"] < 3 and off["b_y"] < 2 and off["rib_frequency"] < 1

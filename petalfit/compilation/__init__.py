@@ -5,6 +5,7 @@ from petalfit.compilation.buckets import blocks as blocks
 from petalfit.compilation.buckets import bucket as bucket
 from petalfit.compilation.buckets import pad_to as pad_to
 from petalfit.compilation.program import Program as Program
+from petalfit.compilation.program import RowProgram as RowProgram
 from petalfit.compilation.program import prepared as prepared
 from petalfit.compilation.stopwatch import Stopwatch as Stopwatch
 from petalfit.compilation.stopwatch import stage as stage

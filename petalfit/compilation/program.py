@@ -12,8 +12,10 @@ from functools import cache, cached_property
 from typing import Any, Generic, TypeVar
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
+from petalfit.compilation.buckets import BLOCK
 from petalfit.compilation.stopwatch import moved, stage, unwatched
 from petalfit.compilation.store import current_store, is_double, options
 
@@ -82,6 +84,35 @@ class Program(Generic[R]):
             _workers().submit(contextvars.copy_context().run, beside, args) for args in calls[1:]
         ]
         return [*(first or [call(calls[0])]), *(future.result() for future in rest)]
+
+
+class RowProgram(Program[R]):
+    """A program that treats all rows alike and alone, so that a large number of them compiles nothing.
+
+    Several times `BLOCK` rows are computed in blocks, side by side.
+
+    Args:
+        function: The function. Its result is an array, or a tree of arrays, with a row for each row.
+        arguments: Indices of the arguments that have rows.
+    """
+
+    def __init__(self, function: Callable[..., R], arguments: Sequence[int]) -> None:
+        super().__init__(function)
+        self._arguments = arguments
+
+    def __call__(self, *args: Any) -> R:
+        number, rest = divmod(len(args[self._arguments[0]]), BLOCK)
+        if number < 2 or rest:
+            return super().__call__(*args)
+        blocks = {k: np.split(np.asarray(args[k]), number) for k in self._arguments}
+        found = self.map(
+            [
+                tuple(blocks[k][number] if k in blocks else arg for k, arg in enumerate(args))
+                for number in range(number)
+            ]
+        )
+        # NumPy's concatenation compiles nothing for a new number of blocks, as jax's would.
+        return jax.tree.map(lambda *parts: jnp.asarray(np.concatenate(parts)), *found)
 
 
 def prepared(function: Callable[[], object]) -> Callable[[], None]:

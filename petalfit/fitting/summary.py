@@ -80,9 +80,9 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
             discrepancy, added = seen
         if rows is not None and (seen is not None or turned):
             # The rows belong to the pose in the target's frame, so that the information must too.
-            at_end = dataclasses.replace(
-                best, information=rows.information, score_covariance=rows.information
-            )
+            told = 1.0 if best.mixture is None else best.mixture.certainty
+            there = told * rows.information
+            at_end = dataclasses.replace(best, information=there, score_covariance=there)
         matrix = covariance(at_end, names, declared, found, added)
         by_noise = covariance(at_end, names, declared, found)
         # From an unknown side, one outline shows no lengths: a bent surface may have the same.
@@ -95,7 +95,10 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
     in_space = isinstance(source, Posed) and not in_image
     # In a fitted pose, a parameter at its bound is no sign that the model was bent to reach its target.
     strained = not in_space and any(identifiable[n] for w in bounds for n in w.parameters)
-    misfits = [verdict.misfit_of(part, strained, request.noise, in_space) for part in agreements]
+    misfits = [
+        verdict.misfit_of(part, strained, request.noise, in_space, best.left_out)
+        for part in agreements
+    ]
     seen = _coverage(agreements, best.model) if finite else None
     # Where a fit was stopped says nothing about the outline that it may have.
     if seen is not None and request.is_one_cloud and best.moved <= verdict.SETTLED:

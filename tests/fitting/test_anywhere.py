@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 import petalfit as pf
-from benchmarks.targets import among_strays, cloud_of, petal_of
+from benchmarks.targets import among_strays, buried, cloud_of, petal_of
 from petalfit.fitting.inference.verdict import about_distances
 from petalfit.fitting.likelihood.mixture import mixture
 from petalfit.fitting.outliers.local_planes import on_sheets
@@ -71,6 +71,51 @@ def test_sheets_are_told_from_clutter_before_any_model_is_there():
         assert kept[scene.inside].mean() > 0.93
         assert kept[~scene.inside].mean() < 0.3
         assert on_sheets(somewhere(seed, clutter=False).points).mean() > 0.97
+
+
+@pytest.mark.parametrize(("share", "recall", "precision"), [(0.6, 0.95, 0.75), (0.8, 0.85, 0.5)])
+def test_sheets_are_told_from_more_clutter_than_points(share, recall, precision):
+    for seed in (0, 2, 14):
+        scene = buried(seed, share)
+        kept = on_sheets(scene.points)
+        assert kept[scene.inside].mean() > recall
+        assert scene.inside[kept].mean() > precision
+
+
+@pytest.mark.parametrize("share", [0.6, 0.8])
+def test_a_petal_is_found_among_more_clutter_than_points(share):
+    """Three quadrants of a petal in any pose, whose rib frequency and outline come back."""
+    scene = buried(2, share)
+    result = pf.fit_petal(scene.points, pose="rigid", loss="robust")
+    for name, bound in {"a_x": 3.0, "b_y": 2.0, "rib_frequency": 1.0}.items():
+        assert off(result, scene.petal, name) < bound
+        assert result.identifiable[name]
+        assert off(result, scene.petal, name) < 300 * result.stderr[name] / result.values[name]
+    members = result.weights > 0.5
+    assert members[scene.inside].mean() > 0.95
+    assert scene.inside[members].mean() > 0.85
+
+
+def test_clutter_alone_is_no_petal():
+    points = np.random.default_rng(3).uniform(-1, 1, (1500, 3)) * [12.0, 10.0, 6.0]
+    result = pf.fit_petal(points, pose="rigid", loss="robust", throw=False)
+    assert not result.converged
+    assert not any(result.identifiable.values())
+
+
+def test_what_the_members_are_told_by_is_less_than_if_they_were_known():
+    """Against the mean squared score of points drawn from the mixture."""
+    rng = np.random.default_rng(5)
+    n, contrast, half = 400_000, 20.0, 10.0
+    on = rng.random(n) < contrast / (contrast + 2 * half / np.sqrt(2 * np.pi))
+    z = np.where(on, rng.standard_normal(n), rng.uniform(-half, half, n))
+    found = mixture(np.abs(z), np.full(n, -np.inf), np.ones(n), 2e6 * half, 1e6, 1.0, known=True)
+    score = found.members * z
+    assert found.contrast == pytest.approx(contrast, rel=0.05)
+    assert found.certainty == pytest.approx(np.mean(score**2) / np.mean(on), rel=0.02)
+    inside = np.full(np.count_nonzero(on), -np.inf)
+    clean = mixture(np.abs(z[on]), inside, np.ones(len(inside)), 2e6 * half, 1e6, 1.0)
+    assert clean.certainty > 0.97
 
 
 def test_the_mixture_is_the_likeliest_one():

@@ -10,7 +10,7 @@ import numpy as np
 
 from petalfit.fitting.coordinates import Coordinates, Prior
 from petalfit.fitting.families.family import AbstractFamily
-from petalfit.fitting.families.polish import START_POINTS, follow, polished
+from petalfit.fitting.families.polish import START_POINTS, Polishing, follow
 from petalfit.fitting.likelihood.cloud import ObservedCloud, pad
 from petalfit.fitting.likelihood.quadrature import Quadrature
 from petalfit.fitting.outliers.scan import Scan
@@ -35,8 +35,11 @@ class ComponentFamily(AbstractFamily):
             some = scan.some(START_POINTS)
             starts = extent_starts(coordinates, _observed, scan.points[some], scan.weights[some])
 
-        def settle(label: str, model: AbstractSurface, prior: Prior | None) -> Iterate:
-            return _uniformly_covered(polished(scan, coordinates, label, model, prior), scan)
+        polish = Polishing(scan, coordinates)
+
+        def settle(label: str, model: AbstractSurface, prior: Prior | None) -> Iterate | None:
+            end = polish(label, model, prior)
+            return None if end is None else _uniformly_covered(end, scan)
 
         best, *others = follow(coordinates, starts, settle)
         coordinates = Coordinates.of(best.model, request.free)

@@ -295,7 +295,7 @@ def _settled(near: Settled, scan: Scan, heat: float, least: float, large: bool) 
     end = dataclasses.replace(near.end(), mixture=found)
     if large:
         end = dataclasses.replace(end, points_used={"last steps": len(near.problem.sheet.points)})
-    return end if found is None else likelier(end)
+    return end if found is None else likelier(end, scan)
 
 
 def _by_passes(near: Settled, sheet: Sheet, temperature: float, least: float) -> Settled:

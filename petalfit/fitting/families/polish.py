@@ -25,60 +25,88 @@ from petalfit.surfaces import AbstractSurface
 START_POINTS = 1536
 _ROUNDS = 30
 _TOLERANCE = 1e-2  # standard errors
+# Among outliers a start is given up if its χ² with some of the points is worse than that of another one
+# by more than this.
+_HOPELESS = 60.0
 
 
 def follow(
     coordinates: Coordinates,
     starts: Iterable[tuple[str, AbstractSurface]],
-    settle: Callable[[str, AbstractSurface, Prior | None], Iterate],
+    settle: Callable[[str, AbstractSurface, Prior | None], Iterate | None],
 ) -> list[Iterate]:
     """The ends of starts, the best first; its undetermined parameters keep the template's values.
 
     Args:
         coordinates: The free parameters.
         starts: The starts, with their labels.
-        settle: A function that finds the end of a start, given its label, its model and a prior.
+        settle: A function that finds the end of a start, given its label, its model and a prior; it may
+            return None for a start without hope, but not for the first one.
     """
     ends = []
     for label, model in starts:
         report(f"polishing from {label}")
         with stage("polishing"):
-            ends.append(settle(label, model, None))
+            end = settle(label, model, None)
+            ends += [] if end is None else [end]
     best, *others = sorted(ends, key=lambda end: end.chi2)
 
     def again(model: AbstractSurface, prior: Prior) -> Iterate:
-        return settle(best.label, model, prior)
+        end = settle(best.label, model, prior)
+        assert end is not None
+        return end
 
     with stage("polishing"):
         return [pinned(coordinates, best, again), *others]
 
 
-def polished(
-    scan: Scan,
-    coordinates: Coordinates,
-    label: str,
-    model: AbstractSurface,
-    prior: Prior | None,
-) -> Iterate:
-    """The end of a start, found with some of the points first, then with all.
+class Polishing:
+    """Finds the ends of starts in one scan, with some of its points first, then with all.
 
-    The second stage so starts within a few standard errors of its end.
+    The second stage so begins within a few standard errors of its end. A start that has clearly lost to
+    an earlier one after the first stage has no second.
     """
-    if len(scan.order) > 2 * START_POINTS:
-        some = scan.some(START_POINTS)
-        model = _polished_on(scan, coordinates, model, some, 10, 0.1, prior)[0].model
-    end, weights = _polished_on(
-        scan, coordinates, model, np.arange(len(scan.points)), _ROUNDS, _TOLERANCE, prior
-    )
-    cloud = ObservedCloud.of(scan.points, weights, scan.noise, scan.order)
-    end = without_bias(coordinates, label, [cloud], end, prior)
-    return end if end.mixture is None else likelier(end)
+
+    def __init__(self, scan: Scan, coordinates: Coordinates) -> None:
+        self._scan = scan
+        self._coordinates = coordinates
+        self._least = np.inf  # χ² after the first stage, the least so far
+
+    def __call__(self, label: str, model: AbstractSurface, prior: Prior | None) -> Iterate | None:
+        """The end of a start; None if it has no hope. With a prior, every start has an end."""
+        scan, coordinates = self._scan, self._coordinates
+        if len(scan.order) > 2 * START_POINTS:
+            some = scan.some(START_POINTS)
+            first = _polished_on(scan, coordinates, model, some, 10, 0.1, prior)[0]
+            if first.mixture is not None and prior is None:
+                chi2 = -2 * first.mixture.log_likelihood
+                self._least = min(self._least, chi2)
+                if chi2 > self._least + _HOPELESS:
+                    return None
+            model = first.model
+        end, weights = _polished_on(
+            scan, coordinates, model, np.arange(len(scan.points)), _ROUNDS, _TOLERANCE, prior
+        )
+        cloud = ObservedCloud.of(scan.points, weights, scan.noise, scan.order)
+        end = without_bias(coordinates, label, [cloud], end, prior)
+        return end if end.mixture is None else likelier(end, scan)
 
 
-def likelier(end: Iterate) -> Iterate:
-    """An end with the χ² of its mixture, by which ends are compared if there may be outliers."""
+def likelier(end: Iterate, scan: Scan) -> Iterate:
+    """An end with the χ² of its mixture, by which ends are compared if there may be outliers.
+
+    The information is that of points of which it is not certain whether they belong to the surface.
+    """
     assert end.mixture is not None
-    return dataclasses.replace(end, chi2=-2 * end.mixture.log_likelihood)
+    weights, certainty = scan.weights[scan.likely], end.mixture.certainty
+    kept = float(np.sum(weights * (end.mixture.members[scan.likely] > 0.5)))
+    return dataclasses.replace(
+        end,
+        chi2=-2 * end.mixture.log_likelihood,
+        left_out=1 - kept / max(float(np.sum(weights)), 1e-300),
+        information=certainty * end.information,
+        score_covariance=certainty * end.score_covariance,
+    )
 
 
 def _polished_on(

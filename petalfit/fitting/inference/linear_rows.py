@@ -13,7 +13,7 @@ from petalfit.compilation import blocks
 from petalfit.fitting.coordinates import Coordinates
 from petalfit.fitting.inference.discrepancy import CELLS, Rows, is_suspect
 from petalfit.fitting.likelihood import programs
-from petalfit.fitting.likelihood.linearise import Linearisation
+from petalfit.fitting.likelihood.linearise import Linearisation, together
 from petalfit.fitting.solver.iterate import Iterate
 from petalfit.observations import PointCloud
 from petalfit.residuals import Data
@@ -82,10 +82,10 @@ class Linear(NamedTuple):
             for x, w in zip(blocks(cloud.points[some]), masses, strict=True)
         ]
         places = blocks(uv[some])
-        found = programs.linearise.map(
+        found = programs.linearise_block.map(
             [(coordinates, part, t, near) for part, near in zip(data, places, strict=True)]
         )
-        here = _together(found)
+        here = together(found)
         slopes = np.asarray(coordinates.slopes(t))
         by_value = np.where(slopes > 0, 1 / np.where(slopes > 0, slopes, 1.0), 0.0)
         points, counts = (
@@ -93,17 +93,6 @@ class Linear(NamedTuple):
         )
         whole = Data(points, counts, sigma)
         return cls(whole, np.concatenate(places), here, by_value)
-
-
-def _together(parts: Sequence[Linearisation]) -> Linearisation:
-    """The linearisation of several blocks of points at once."""
-    rows = {
-        name: jnp.concatenate([getattr(part, name) for part in parts])
-        for name in Linearisation._fields
-        if name not in ("sigma", "information")
-    }
-    information = jnp.sum(jnp.stack([part.information for part in parts]), axis=0)
-    return parts[0]._replace(**rows, information=information)
 
 
 def rows_of(end: Iterate, names: Sequence[str], cloud: PointCloud) -> Rows | None:

@@ -39,7 +39,7 @@ _SOME_BEYOND, _MANY_BEYOND, _BEYOND, _PATTERN = 0.01, 0.025, 0.01, 0.004
 _GROSS = 6.0  # in units of the noise
 _EMPTY = 0.1  # part of the surface without data, above which there is a warning
 _ROUNDING = 1e-6  # smaller distances, relative to a target's size, are rounding errors
-_MOSTLY_OUTLIERS = 0.6  # part of the points that are outliers, above which nothing was fitted
+_MOSTLY_OUTLIERS = 0.6  # part of the points that may be outliers; above it nothing was fitted
 # A fit counts as converged if its parameters still move by at most SETTLED standard errors, with a
 # warning if it is more than _FLIPS: points that jump between two folds may keep a fit moving for ever.
 SETTLED, _FLIPS = 0.5, 0.2
@@ -66,7 +66,13 @@ def ending(best: Iterate, finite: bool, misfits: Sequence[str], outcome: str) ->
     )
 
 
-def misfit_of(part: Agreement, strained: bool, noise: float | None, in_space: bool) -> str:
+def misfit_of(
+    part: Agreement,
+    strained: bool,
+    noise: float | None,
+    in_space: bool,
+    left_out: float | None = None,
+) -> str:
     """The reason why the surface does not follow a target; "" if it does.
 
     Args:
@@ -74,11 +80,15 @@ def misfit_of(part: Agreement, strained: bool, noise: float | None, in_space: bo
         strained: Whether determined parameters ended at their bounds.
         noise: The noise that was given for the clouds.
         in_space: Whether a pose in space was fitted.
+        left_out: The part of the points that seemed to lie on a surface, but are taken for outliers; of
+            all points if it is None. Clutter may be the greater part of a cloud, but lies on no surface.
     """
     size = part.target.size
-    far = part.outliers / len(part.weights)
+    far, points = part.outliers / len(part.weights), "points"
+    if left_out is not None:
+        far, points = min(left_out, far), "points that seem to lie on a surface"
     if far > _MOSTLY_OUTLIERS:
-        return f"no petal of this model fits: it is far from {100 * far:.0f} % of the points"
+        return f"no petal of this model fits: it is far from {100 * far:.0f} % of the {points}"
     if part.unit == "px":
         rms, tolerable = _trimmed(part), max(_MISFIT_OF_OUTLINES * size, 1.0)
         why = "it has another shape"

@@ -123,9 +123,9 @@ class ObservedCloud(AbstractObserved):
         surface, from the place that was reached to below the point, counts as well: such a point would
         else seem to lie in the surface where it only lies in the tangent plane of that place.
         """
-        here, points = programs.frames(model, term.uv), np.asarray(self.data.points)
+        here, points = programs.frames(model, term.uv), self.data.points
         distance, beyond = np.asarray(here.distance(points)), np.asarray(here.beyond(points))
-        whole = np.sum((points - np.asarray(here.position)) ** 2, axis=-1)
+        whole = np.sum((np.asarray(points) - np.asarray(here.position)) ** 2, axis=-1)
         over = np.sum(np.maximum(beyond, 0.0) ** 2, axis=-1)
         return np.sqrt(np.maximum(whole - over, distance**2)), np.max(beyond, axis=-1)
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from petalfit.fitting.coordinates import Coordinates
@@ -64,3 +66,14 @@ def linearise(
         sigma,
         information,
     )
+
+
+def together(parts: Sequence[Linearisation]) -> Linearisation:
+    """The linearisation of several blocks of points at once."""
+    rows = {
+        name: jnp.asarray(np.concatenate([getattr(part, name) for part in parts]))
+        for name in Linearisation._fields
+        if name not in ("sigma", "information")
+    }
+    information = jnp.asarray(np.sum([part.information for part in parts], axis=0))
+    return parts[0]._replace(**rows, information=information)

@@ -31,12 +31,28 @@ class Mixture(NamedTuple):
         share: The share of all points that belong to the surface.
         sigma: Standard deviation of the distances of these points.
         log_likelihood: Log likelihood of the positions of all points.
+        contrast: How many times as likely a point on the surface belongs to it as to the clutter.
     """
 
     members: Float[np.ndarray, " n"]
     share: float
     sigma: float
     log_likelihood: float
+    contrast: float = np.inf
+
+    @property
+    def certainty(self) -> float:
+        """The part of the information on the surface that not knowing its points leaves, from 0 to 1.
+
+        The score of a point at z standard deviations is m z, where m is its probability to belong to the
+        surface. The mean of its square over the points of the mixture is one if all of them are known.
+        """
+        z, step = _DEVIATIONS, _DEVIATIONS[1] - _DEVIATIONS[0]
+        members = 1 / (1 + np.exp(0.5 * z**2) / self.contrast)
+        return float(np.sum(members * np.exp(-0.5 * z**2) * z**2) * step / np.sqrt(2 * np.pi))
+
+
+_DEVIATIONS = np.linspace(-10.0, 10.0, 401)
 
 
 def mixture(
@@ -73,7 +89,10 @@ def mixture(
         share = float(np.clip(count / total, _FEWEST, 1 - _SOME))
         if not known and count > 0:
             sigma = max(float(np.sqrt(np.sum(weights * members * square) / count)), smallest)
-    return Mixture(members, share, sigma, likelihood)
+    contrast = (
+        share / (1 - share) * volume / blurred_area(area, sigma) / (np.sqrt(2 * np.pi) * sigma)
+    )
+    return Mixture(members, share, sigma, likelihood, float(contrast))
 
 
 def box_volume(points: Float[np.ndarray, "n 3"]) -> float:

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-from petalfit.compilation import Program
+from petalfit.compilation import BLOCK, Program, RowProgram
 from petalfit.fitting.coordinates import Coordinates, Numbers
+from petalfit.fitting.likelihood.linearise import Linearisation, together
 from petalfit.fitting.likelihood.linearise import linearise as _linearise
 from petalfit.residuals import (
     ContourDistance,
+    Data,
+    estimate_sigma,
     frame,
     nearest_nodes,
     pull_back,
@@ -31,14 +35,14 @@ def _distances(
     return jnp.linalg.norm(points - surface.position(uv[:, 0], uv[:, 1]), axis=-1)
 
 
-distances = Program(_distances)
+distances = RowProgram(_distances, (1, 2))
 
 
 def _places(surface: AbstractSurface, uv: Float[Array, "n 2"]) -> Float[Array, "n 3"]:
     return surface.position(uv[:, 0], uv[:, 1])
 
 
-places = Program(_places)
+places = RowProgram(_places, (1,))
 
 
 def _contour_slopes(
@@ -58,10 +62,28 @@ def _contour_covectors(model: AbstractSurface, term: ContourDistance) -> Float[A
 contour_covectors = Program(_contour_covectors)
 contour_slopes = Program(_contour_slopes)
 positions = Program(_positions)
-frames = Program(frame)
-nearest = Program(nearest_nodes)
-_refine = Program(refine_foot_points)
-linearise = Program(_linearise)
+frames = RowProgram(frame, (1,))
+nearest = RowProgram(nearest_nodes, (1,))
+_refine = RowProgram(refine_foot_points, (1, 2))
+linearise_block = Program(_linearise)
+
+
+def linearise(
+    coordinates: Coordinates, data: Data, t: Float[np.ndarray, " p"], uv: Numbers
+) -> Linearisation:
+    """See `petalfit.fitting.likelihood.linearise`; a large cloud is linearised in blocks."""
+    number, rest = divmod(len(uv), BLOCK)
+    if number < 2 or rest:
+        return linearise_block(coordinates, data, t, uv)
+    if np.isnan(float(data.sigma)):
+        distance = frames(coordinates.model(t), uv).distance(data.points)
+        data = data._replace(sigma=estimate_sigma(data, distance, len(t)))
+    points, weights, places = (np.split(np.asarray(x), number) for x in (*data[:2], uv))
+    parts = [
+        (coordinates, Data(jnp.asarray(block), jnp.asarray(weight), data.sigma), t, place)
+        for block, weight, place in zip(points, weights, places, strict=True)
+    ]
+    return together(linearise_block.map(parts))
 
 
 def refine(

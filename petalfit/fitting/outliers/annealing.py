@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import dataclasses
 
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float
 
+from petalfit.compilation import bucket, pad_to
 from petalfit.fitting.coordinates import Coordinates, Prior
 from petalfit.fitting.likelihood.cloud import ObservedCloud, pad
 from petalfit.fitting.likelihood.foot_points import signed_distance
@@ -29,6 +31,7 @@ _TOLERANCE = 0.02  # standard errors
 # The least scale of the kernel, relative to the extent: some points have no noise at all.
 _EXACT = 1e-12
 _UNCHANGED = 0.02  # a smaller change of a probability is none
+_NONE = 1e-6  # a smaller probability to belong to the surface is none
 
 
 def approach(
@@ -61,7 +64,7 @@ def approach(
         narrowest = max(_NARROWEST * spread_of(distance[likely]), least)
         scale = min(_WIDEST / _NARROWEST * narrowest, scale)
         kept = base * geman_mcclure(distance, max(scale, narrowest))
-        end = _followed(coordinates, model, points, kept, None, term, 2, 0.3)
+        end = _followed(coordinates, model, points, kept, None, term.uv, 2, 0.3)
         model, term = end.model, cloud.match(end.model, term_of(end))
         if scale <= narrowest:
             found = background.mixture(model, *cloud.apart(model, term), weights, None)
@@ -93,17 +96,26 @@ def clear(
         The end, with the mixture of its points.
     """
     cloud = ObservedCloud(pad(points, weights, noise))
-    term, rounds, members = cloud.match(model, None), 0, None
+    term, rounds, members, count = cloud.match(model, None), 0, None, 0
     while True:
         found = background.mixture(model, *cloud.apart(model, term), weights, noise)
         kept = weights * found.members
-        end = _followed(coordinates, model, points, kept, noise, term, _AT_ONCE, _TOLERANCE, prior)
-        rounds, model, term = rounds + end.rounds, end.model, term_of(end)
+        # Only points that may belong to the surface take part in the steps; always as many, so that
+        # no other program is compiled.
+        count = count or min(len(points), bucket(int(np.sum(kept > _NONE * np.max(kept)))))
+        some = np.sort(np.argpartition(-kept, count - 1)[:count])
+        end = _followed(
+            coordinates, model, points[some], kept[some], noise, np.asarray(term.uv)[some],
+            _AT_ONCE, _TOLERANCE, prior,
+        )  # fmt: skip
+        rounds, model = rounds + end.rounds, end.model
+        term = cloud.match(model, dataclasses.replace(term, sigma=term_of(end).sigma))
         changed = 1.0 if members is None else float(np.max(np.abs(found.members - members)))
         members = found.members
         settled = end.moved <= _TOLERANCE and changed < _UNCHANGED
         if settled or rounds >= _ROUNDS:
-            return dataclasses.replace(end, rounds=rounds, mixture=found)
+            whole = TangentDistance(data=pad(points, kept, noise), uv=term.uv, sigma=term.sigma)
+            return dataclasses.replace(end, terms=(whole,), rounds=rounds, mixture=found)
 
 
 def _followed(
@@ -112,14 +124,15 @@ def _followed(
     points: Float[np.ndarray, "n 3"],
     weights: Float[np.ndarray, " n"],
     noise: float | None,
-    term: TangentDistance,
+    uv: Float[Array | np.ndarray, "_ 2"],
     rounds: int,
     tolerance: float,
     prior: Prior | None = None,
 ) -> Iterate:
     """The end of a few rounds of the solver on points with these weights."""
     seen = ObservedCloud(pad(points, weights, noise))
-    return minimise(coordinates, [seen], model, [seen.at(term.uv)], rounds, tolerance, prior)
+    term = seen.at(jnp.asarray(pad_to(np.asarray(uv), len(seen.data.points))))
+    return minimise(coordinates, [seen], model, [term], rounds, tolerance, prior)
 
 
 def term_of(end: Iterate) -> TangentDistance:

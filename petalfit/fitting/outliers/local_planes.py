@@ -18,11 +18,8 @@ _NEIGHBOUR = 8  # the distance to this neighbour measures the density around a p
 _PLANE = 12  # neighbours that a local plane is fitted to
 _BALL = 24  # neighbours in a ball that may be crossed by a sheet
 _NORMALS = 24  # directions that normals are tried in first
-_THICK, _THINNEST, _THICKEST = (
-    0.15,
-    0.03,
-    0.3,
-)  # standard deviations of a sheet, in radii of its ball
+# Standard deviations of a sheet, in radii of its ball: to start from, and at least and at most.
+_THICK, _THINNEST, _THICKEST = 0.15, 0.03, 0.3
 _FITTED = 12  # iterations of the expectation maximisation in a ball
 _CHANCE = 4.0  # the log likelihood that a plane through clutter gains by chance
 _APART = 1.8  # geometric means of their standard deviations, between two groups that are not one
@@ -163,6 +160,7 @@ def _two_groups(values: Float[np.ndarray, " n"]) -> tuple[Bool[np.ndarray, " n"]
         return upper, 0.0
     least = 1e-3 * (np.ptp(values) + 1e-300)
     members = np.stack([~upper, upper]).astype(float)
+    middle = deviation = np.ones((2, 1))
     for _ in range(_GROUPED):
         total = members.sum(axis=1, keepdims=True) + 1e-300
         middle = (members @ values)[:, None] / total

@@ -37,6 +37,8 @@ class Iterate(Generic[Model]):
             shape (p, p); NaN if it was not computed.
         residuals: The residuals of every observation.
         mixture: The probability of each point to belong to the surface; None without outliers.
+        left_out: The part of the points that seemed to lie on a surface before there was a model, but are
+            taken for outliers; None if that is not known.
         freedom: Effective number of parameters, if that is not the number of free parameters; else None.
         trait_errors: Standard errors of the traits, if they do not follow from named parameters.
         points_used: The numbers of points by stage, if not all stages used all points.
@@ -53,6 +55,7 @@ class Iterate(Generic[Model]):
     score_covariance: Float[np.ndarray, "q q"] = dataclasses.field(default_factory=_unknown)
     residuals: tuple[Residuals, ...] = ()
     mixture: Mixture | None = None
+    left_out: float | None = None
     freedom: float | None = None
     trait_errors: dict[str, float] = dataclasses.field(default_factory=dict)
     points_used: dict[str, int] = dataclasses.field(default_factory=dict)

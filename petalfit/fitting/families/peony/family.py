@@ -12,6 +12,7 @@ from petalfit.components import PeonyPetal, Posed
 from petalfit.fitting.coordinates import Coordinates, Prior, in_doubles, with_values
 from petalfit.fitting.families.family import AbstractFamily
 from petalfit.fitting.families.peony.known import known_starts
+from petalfit.fitting.families.peony.outline import HEIGHTS
 from petalfit.fitting.families.peony.outlines import ribbed_starts
 from petalfit.fitting.families.peony.pose import Placed, placed_petals
 from petalfit.fitting.families.peony.ribs import (
@@ -22,7 +23,7 @@ from petalfit.fitting.families.peony.ribs import (
     ribs_beside,
     with_ribs,
 )
-from petalfit.fitting.families.polish import START_POINTS, follow, polished
+from petalfit.fitting.families.polish import START_POINTS, Polishing, follow
 from petalfit.fitting.likelihood.cloud import ObservedCloud, pad
 from petalfit.fitting.likelihood.views import ObservedViews
 from petalfit.fitting.outliers.annealing import approach, term_of
@@ -36,15 +37,16 @@ from petalfit.fitting.solver.observer import report
 from petalfit.fitting.starts.frame import NormalisedFrame
 from petalfit.surfaces import AbstractSurface, Pose, turn_between
 
-_APPROACH_POINTS = 2048
 # Further ribs that gain more than this in χ² on the residuals of an end show that it is wrong. By chance
 # alone, the best of 200 frequencies gains 10.
 _RIBS_LEFT = 20.0
 # Number of poses that are tried first, and number along the normal of the best of these; more in an
 # unknown unit or among outliers.
-_TRIED, _TRIED_IN_DOUBT = (3, 0), (4, 3)
+_TRIED, _TRIED_IN_DOUBT = (3, 0), (6, 4)
+_TURNED_OVER = 3  # number of poses, the likeliest, that are tried the other way up among outliers
 # A pose is not followed if its log likelihood is worse than the best by more than this per point.
 _HOPELESS = 0.05
+_RIVALS = 2  # number of poses, beside the likeliest, that are followed at most
 _SAME_TURN = 0.1  # rad
 _FEWEST = 64  # fewest points that determine a plane and an outline
 _TYPICAL_EXTENT = 10.0  # root mean square distance of a petal's points from their middle
@@ -113,10 +115,7 @@ def _from_known(coordinates: Coordinates, scan: Scan, from_template: bool) -> li
     if from_template:
         starts = [("given", coordinates.template)]
 
-    def settle(label: str, model: AbstractSurface, prior: Prior | None) -> Iterate:
-        return polished(scan, coordinates, label, model, prior)
-
-    return follow(coordinates, starts, settle)
+    return follow(coordinates, starts, Polishing(scan, coordinates))
 
 
 def _from_anywhere(
@@ -130,7 +129,7 @@ def _from_anywhere(
     if "rib_amplitude" in free:
         smooth = with_values(template, {"rib_amplitude": 0.0})
     placed = placed_petals(smooth, free, likely, pose)
-    some = scan.some(_APPROACH_POINTS)
+    some = scan.some(START_POINTS)
     points, weights = scan.points[some], scan.weights[some]
     background = scan.background or Clutter.around(scan.points)
 
@@ -154,18 +153,37 @@ def _from_anywhere(
         inside = points[members > 0.5][:START_POINTS]
         placed = placed_petals(smooth, free, inside, pose, np.asarray(_placement(best).rotation))
         found += map(approached, placed[:again])
-    found.sort(key=_likelihood, reverse=True)
+    if scan.background is not None:
+        report("turning the likeliest over")
+        found += [approached(_turned_over(near)) for near in _distinct(found)[:_TURNED_OVER]]
+    best, *others = _distinct(found)
+    bound = _HOPELESS * len(points)
+    rivals = [near for near in others if _likelihood(best) - _likelihood(near) <= bound]
+    if _likelihood(best) <= bound:
+        rivals = []  # No pose is much likelier than clutter alone.
     ends: list[Iterate] = []
-    for k, near in enumerate(found):
-        lead = _likelihood(found[0]) - _likelihood(near)
-        turned = [
-            turn_between(_placement(near).rotation, _placement(other).rotation)
-            for other in found[:k]
-        ]
-        if lead > _HOPELESS * len(points) or any(turn < _SAME_TURN for turn in turned):
-            continue
+    for k, near in enumerate([best, *rivals[:_RIVALS]]):
         ends += _polished_poses(template, names, scan, near, f"pose {k + 1}")
     return sorted(ends, key=lambda end: end.chi2)
+
+
+def _distinct(found: list[Iterate]) -> list[Iterate]:
+    """The likeliest of each pose, the likeliest pose first."""
+    chosen: list[Iterate] = []
+    for near in sorted(found, key=_likelihood, reverse=True):
+        rotation = _placement(near).rotation
+        if all(turn_between(rotation, _placement(x).rotation) >= _SAME_TURN for x in chosen):
+            chosen.append(near)
+    return chosen
+
+
+def _turned_over(near: Iterate) -> Placed:
+    """The petal that lies in nearly the same place the other way up; its waves tell which is right."""
+    posed = cast(Posed, near.model)
+    petal, place = cast(PeonyPetal, posed.surface), _placement(near)
+    over = with_values(petal, {name: -float(getattr(petal, name)) for name in HEIGHTS})
+    rotation = np.asarray(place.rotation) @ np.diag([-1.0, 1.0, -1.0])
+    return Placed(over, rotation, np.asarray(place.translation), float(place.scale), np.nan)
 
 
 def _polished_poses(
@@ -196,9 +214,12 @@ def _polished_poses(
         if rest and (best is None or _ribs_left(coordinates, scan, best)):
             yield from map(labelled, rest)
 
-    def settle(name: str, model: AbstractSurface, prior: Prior | None) -> Iterate:
-        ends.append(polished(scan, coordinates, name, model, prior))
-        return ends[-1]
+    polish = Polishing(scan, coordinates)
+
+    def settle(name: str, model: AbstractSurface, prior: Prior | None) -> Iterate | None:
+        end = polish(name, model, prior)
+        ends.extend([] if end is None else [end])
+        return end
 
     return follow(coordinates, starts(), settle)
 

@@ -13,6 +13,7 @@ from petalfit.fitting.families.peony.outline import Heights, fit_amplitudes, fit
 from petalfit.fitting.families.peony.ribs import RIBS, close, ribs_beside, with_ribs
 from petalfit.fitting.families.polish import START_POINTS
 from petalfit.fitting.likelihood.cloud import ObservedCloud, pad
+from petalfit.fitting.outliers.annealing import approach, term_of
 from petalfit.fitting.outliers.scan import Scan
 from petalfit.fitting.solver.alternate import minimise
 from petalfit.fitting.solver.iterate import Iterate
@@ -44,12 +45,17 @@ def known_starts(
                 _smooth(coordinates, outline, data),
                 key=lambda start: float(start.terms[0].sigma),
             )
-    smooth = polished.model
+    if scan.background is not None:
+        # A few strays that seem to belong to a surface would bend the petal.
+        held = coordinates.holding(RIBS).around(polished.model)
+        points, weights, likely = scan.points[some], scan.weights[some], scan.likely[some]
+        polished = approach(held, scan.background, polished.model, points, weights, likely)
+    smooth, term = polished.model, term_of(polished)
     if not set(RIBS) & set(free):
         yield "the outline", with_values(smooth, {"rib_amplitude": template.rib_amplitude})
         return
     report("searching the rib frequency")
-    basins = ribs_beside(coordinates, smooth, ObservedCloud(data), polished.terms[0])
+    basins = ribs_beside(coordinates, smooth, ObservedCloud(term.data), term)
     yield from (with_ribs(smooth, basin) for basin in close(basins))
 
 

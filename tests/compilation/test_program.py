@@ -1,0 +1,33 @@
+"""Programs that treat rows alone: in blocks, the result is the same and nothing more is compiled."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from petalfit.compilation import BLOCK, ExecutableStore, RowProgram, use_store, watched
+
+
+def _shifted(shift: jax.Array, rows: jax.Array, factor: float) -> dict[str, jax.Array]:
+    return {"sum": (rows + shift) * factor, "norm": jnp.linalg.norm(rows + shift, axis=-1)}
+
+
+@pytest.mark.parametrize("count", [BLOCK - 1, BLOCK, BLOCK + 1, 2 * BLOCK, 5 * BLOCK])
+def test_rows_are_the_same_in_blocks(count):
+    rows = np.random.default_rng(0).standard_normal((count, 3))
+    shift = np.array([1.0, 2.0, 3.0])
+    with jax.enable_x64(True):
+        found = RowProgram(_shifted, (1,))(shift, rows, 2.0)
+    np.testing.assert_allclose(found["sum"], 2 * (rows + shift), rtol=1e-14)
+    np.testing.assert_allclose(found["norm"], np.linalg.norm(rows + shift, axis=-1), rtol=1e-14)
+
+
+def test_more_rows_compile_nothing(tmp_path):
+    program = RowProgram(_shifted, (1,))
+    seconds = []
+    with jax.enable_x64(True), use_store(ExecutableStore(tmp_path)):
+        for blocks in (2, 7):
+            with watched("computing") as watch:
+                program(np.zeros(3), np.ones((blocks * BLOCK, 3)), 2.0)
+            seconds.append(watch.seconds)
+    assert ["compiling" in x for x in seconds] == [True, False]
