@@ -5,12 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 BLOCK = 512  # rows that a program for blocks takes at once
+_FEWEST = 4  # blocks, for which it is worth to split rows
 
 
 def bucket(n: int) -> int:
     """The size to which n rows are padded: 64, 96, 128, 192, 256 and so on."""
     power = max(64, 1 << (n - 1).bit_length())
     return power * 3 // 4 if n <= power * 3 // 4 and power > 64 else power
+
+
+def split_into(n: int) -> int:
+    """The number of blocks that n rows are computed in; 1 if they are few, or not a number of blocks."""
+    number, rest = divmod(n, BLOCK)
+    return 1 if rest or number < _FEWEST else number
 
 
 def pad_to(rows: np.ndarray, size: int) -> np.ndarray:

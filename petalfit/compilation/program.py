@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from petalfit.compilation.buckets import BLOCK
+from petalfit.compilation.buckets import split_into
 from petalfit.compilation.stopwatch import moved, stage, unwatched
 from petalfit.compilation.store import current_store, is_double, options
 
@@ -89,7 +89,7 @@ class Program(Generic[R]):
 class RowProgram(Program[R]):
     """A program that treats all rows alike and alone, so that a large number of them compiles nothing.
 
-    Several times `BLOCK` rows are computed in blocks, side by side.
+    Many rows are computed in blocks of `BLOCK`, side by side.
 
     Args:
         function: The function. Its result is an array, or a tree of arrays, with a row for each row.
@@ -101,14 +101,14 @@ class RowProgram(Program[R]):
         self._arguments = arguments
 
     def __call__(self, *args: Any) -> R:
-        number, rest = divmod(len(args[self._arguments[0]]), BLOCK)
-        if number < 2 or rest:
+        number = split_into(len(args[self._arguments[0]]))
+        if number == 1:
             return super().__call__(*args)
         blocks = {k: np.split(np.asarray(args[k]), number) for k in self._arguments}
         found = self.map(
             [
-                tuple(blocks[k][number] if k in blocks else arg for k, arg in enumerate(args))
-                for number in range(number)
+                tuple(blocks[k][block] if k in blocks else arg for k, arg in enumerate(args))
+                for block in range(number)
             ]
         )
         # NumPy's concatenation compiles nothing for a new number of blocks, as jax's would.

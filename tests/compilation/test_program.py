@@ -26,7 +26,7 @@ def test_more_rows_compile_nothing(tmp_path):
     program = RowProgram(_shifted, (1,))
     seconds = []
     with jax.enable_x64(True), use_store(ExecutableStore(tmp_path)):
-        for blocks in (2, 7):
+        for blocks in (4, 7):
             with watched("computing") as watch:
                 program(np.zeros(3), np.ones((blocks * BLOCK, 3)), 2.0)
             seconds.append(watch.seconds)

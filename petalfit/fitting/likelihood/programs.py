@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from petalfit.compilation import BLOCK, Program, RowProgram
+from petalfit.compilation import Program, RowProgram, split_into
 from petalfit.fitting.coordinates import Coordinates, Numbers
 from petalfit.fitting.likelihood.linearise import Linearisation, together
 from petalfit.fitting.likelihood.linearise import linearise as _linearise
@@ -72,8 +72,8 @@ def linearise(
     coordinates: Coordinates, data: Data, t: Float[np.ndarray, " p"], uv: Numbers
 ) -> Linearisation:
     """See `petalfit.fitting.likelihood.linearise`; a large cloud is linearised in blocks."""
-    number, rest = divmod(len(uv), BLOCK)
-    if number < 2 or rest:
+    number = split_into(len(uv))
+    if number == 1:
         return linearise_block(coordinates, data, t, uv)
     if np.isnan(float(data.sigma)):
         distance = frames(coordinates.model(t), uv).distance(data.points)
