@@ -20,6 +20,7 @@ from petalfit.compilation.stopwatch import moved, stage, unwatched
 from petalfit.compilation.store import current_store, is_double, options
 
 R = TypeVar("R")
+_WORKER = "petalfit-program"  # how names of the threads begin
 
 
 class _Compiled(threading.local):
@@ -63,7 +64,10 @@ class Program(Generic[R]):
         return store.call(self._function, args)
 
     def map(self, calls: Sequence[tuple]) -> list[R]:
-        """The results of several calls, computed side by side; arguments differ in their values alone."""
+        """The results of several calls, computed side by side; arguments differ in their values alone.
+
+        Within a call that is itself computed beside others, they are computed one after the other.
+        """
         double = is_double()
 
         def call(args: tuple) -> R:
@@ -75,6 +79,9 @@ class Program(Generic[R]):
             with unwatched():
                 return call(args)
 
+        if threading.current_thread().name.startswith(_WORKER):
+            # A worker that waits for others, while they wait for it, would wait for ever.
+            return [call(args) for args in calls]
         leaves, structure = jax.tree.flatten(calls[0])
         form = current_store(), structure, tuple(map(np.shape, leaves)), double
         # The first call of a form compiles its program, or loads it, and the others find it.
@@ -118,8 +125,6 @@ class RowProgram(Program[R]):
 def prepared(function: Callable[[], object]) -> Callable[[], None]:
     """Runs a function beside what follows, so that the programs it calls are compiled by then.
 
-    The function may use `Program.map` for single calls only: others would wait for its own worker.
-
     Returns:
         A function that waits until they are, and raises what went wrong.
     """
@@ -140,4 +145,4 @@ def prepared(function: Callable[[], object]) -> Callable[[], None]:
 
 @cache
 def _workers() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(os.cpu_count() or 1, "program")
+    return ThreadPoolExecutor(os.cpu_count() or 1, _WORKER)

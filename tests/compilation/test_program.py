@@ -1,11 +1,13 @@
 """Programs that treat rows alone: in blocks, the result is the same and nothing more is compiled."""
 
+import os
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from petalfit.compilation import BLOCK, ExecutableStore, RowProgram, use_store, watched
+from petalfit.compilation import BLOCK, ExecutableStore, RowProgram, prepared, use_store, watched
 
 
 def _shifted(shift: jax.Array, rows: jax.Array, factor: float) -> dict[str, jax.Array]:
@@ -31,3 +33,17 @@ def test_more_rows_compile_nothing(tmp_path):
                 program(np.zeros(3), np.ones((blocks * BLOCK, 3)), 2.0)
             seconds.append(watch.seconds)
     assert ["compiling" in x for x in seconds] == [True, False]
+
+
+def test_workers_do_not_wait_for_each_other():
+    """Each of them splits its rows, for which no worker is left."""
+    program, rows = RowProgram(_shifted, (1,)), np.ones((4 * BLOCK, 3))
+    found = []
+
+    def work() -> None:
+        found.append(program(np.zeros(3), rows, 2.0))
+
+    for wait in [prepared(work) for _ in range(2 * (os.cpu_count() or 1))]:
+        wait()
+    assert len(found) == 2 * (os.cpu_count() or 1)
+    assert all((x["sum"] == 2).all() for x in found)

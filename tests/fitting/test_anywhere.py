@@ -96,6 +96,25 @@ def test_a_petal_is_found_among_more_clutter_than_points(share):
     assert scene.inside[members].mean() > 0.85
 
 
+@pytest.mark.slow
+def test_petals_are_found_among_60_percent_of_clutter():
+    """And the errors that the results give are those that the values have."""
+    found, deviations = 0, []
+    for seed in range(10):
+        petal, points, inside = buried(seed, 0.6)
+        result = pf.fit_petal(points, pose="rigid", loss="robust")
+        bounds = {"a_x": 3.0, "b_y": 2.0, "rib_frequency": 1.0}
+        found += all(off(result, petal, name) < bound for name, bound in bounds.items())
+        assert (result.weights > 0.5)[inside].mean() > 0.98
+        deviations += [
+            (value - float(getattr(petal, name))) / result.stderr[name]
+            for name, value in result.values.items()
+            if result.identifiable[name]
+        ]
+    assert found >= 9
+    assert np.mean(np.abs(deviations) < 1.96) > 0.85
+
+
 def test_clutter_alone_is_no_petal():
     points = np.random.default_rng(3).uniform(-1, 1, (1500, 3)) * [12.0, 10.0, 6.0]
     result = pf.fit_petal(points, pose="rigid", loss="robust", throw=False)

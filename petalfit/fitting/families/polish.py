@@ -63,8 +63,8 @@ def follow(
 class Polishing:
     """Finds the ends of starts in one scan, with some of its points first, then with all.
 
-    The second stage so begins within a few standard errors of its end. A start that has clearly lost to
-    an earlier one after the first stage has no second.
+    The second stage thus begins within a few standard errors of its end. A start that is clearly worse
+    than an earlier one after the first stage is given up.
     """
 
     def __init__(self, scan: Scan, coordinates: Coordinates) -> None:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import log_ndtr
+from scipy.special import expit, log_ndtr
 
 _ITERATIONS = 30
 _FEWEST = 0.05  # least share of the points that belong to the surface
@@ -48,7 +48,7 @@ class Mixture(NamedTuple):
         surface. The mean of its square over the points of the mixture is one if all of them are known.
         """
         z, step = _DEVIATIONS, _DEVIATIONS[1] - _DEVIATIONS[0]
-        members = 1 / (1 + np.exp(0.5 * z**2) / self.contrast)
+        members = expit(np.log(max(self.contrast, 1e-300)) - 0.5 * z**2)
         return float(np.sum(members * np.exp(-0.5 * z**2) * z**2) * step / np.sqrt(2 * np.pi))
 
 

@@ -36,10 +36,10 @@ _BESIDE = 2.0  # spacings of the tested points, up to which another one lies bes
 def on_sheets(points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
     """Whether each point seems to lie on a surface: in a dense place, near its neighbours' plane.
 
-    Nearly all points of a surface are kept, however it is bent. Of clutter that fills the surface's own
-    box a tenth is kept: a tenth as many points as the surface has if there are as many, a third if there
-    are four times as many. The test knows no model: what it keeps is good to start a search with, but is
-    no final decision.
+    Nearly all points of a surface are kept, however it is bent, and a tenth of the clutter that fills
+    the surface's own box: of what is kept, some 5 % is clutter if there is as much of it as of the
+    surface, and 20 to 30 % if there is four times as much. The test knows no model: what it keeps is good
+    to start a search with, but is no final decision.
 
     Of a large cloud some points are tested, and the others are kept beside those that are.
 
@@ -149,7 +149,7 @@ def _two_groups(values: Float[np.ndarray, " n"]) -> tuple[Bool[np.ndarray, " n"]
 
     The groups are those with the largest variance between them (Otsu, 1979). How far apart they are is
     the difference of the means of the likeliest two Gaussians, in geometric means of their deviations:
-    up to 1.6 for points of a surface, 3 and more if there is clutter.
+    up to 1.7 for points of a surface, 2 and more if there is clutter.
     """
     ordered = np.sort(values)
     n, below = len(ordered), np.arange(1, len(ordered))
