@@ -38,21 +38,45 @@ def among_strays(points: np.ndarray, share: float, rng: np.random.Generator) -> 
     return np.concatenate([points[: len(points) - len(strays)], strays])
 
 
-class Buried(NamedTuple):
-    """A petal somewhere among clutter, and what was seen of it.
+class Scene(NamedTuple):
+    """A petal somewhere, perhaps among clutter, and what was seen of it.
 
     Attributes:
         petal: The petal.
-        points: 2,000 points of it, from three quadrants, and those of the clutter, in random order.
+        points: Points of it and of the clutter, in random order.
         inside: Whether each point belongs to the petal.
+        rotation: The rotation from the petal's frame to that of the points.
+        shift: The petal's origin in that frame.
     """
 
     petal: pf.PeonyPetal
     points: np.ndarray
     inside: np.ndarray
+    rotation: np.ndarray
+    shift: np.ndarray
 
 
-def buried(seed: int, share: float, count: int = 2000) -> Buried:
+def seen_somewhere(
+    petal: pf.PeonyPetal, uv: np.ndarray, strays: int, rng: np.random.Generator
+) -> Scene:
+    """A petal in a random rigid pose, seen at `uv` with noise, with strays in the box of its points."""
+    with jax.enable_x64(True):
+        points = np.asarray(petal(*uv.T))
+    points = points + SIGMA * rng.standard_normal(points.shape)
+    anywhere = rng.uniform(points.min(axis=0), points.max(axis=0), (strays, 3))
+    turn, _ = np.linalg.qr(rng.standard_normal((3, 3)))
+    rotation, shift = turn * np.linalg.det(turn), rng.uniform(-50, 50, 3)
+    order = rng.permutation(len(uv) + strays)
+    points = np.concatenate([points, anywhere]) @ rotation.T + shift
+    return Scene(petal, points[order], order < len(uv), rotation, shift)
+
+
+def three_quadrants(uv: np.ndarray) -> np.ndarray:
+    """The places outside of one quadrant."""
+    return uv[~((uv[:, 0] > 0) & (uv[:, 1] > 0.5))]
+
+
+def buried(seed: int, share: float, count: int = 2000) -> Scene:
     """A petal of which a quadrant was not seen, with clutter in its own box, in a random rigid pose.
 
     Args:
@@ -63,17 +87,8 @@ def buried(seed: int, share: float, count: int = 2000) -> Buried:
     rng = np.random.default_rng([seed, 21])
     petal = petal_of(seed)
     with jax.enable_x64(True):
-        uv = sample_uv(petal, 2 * count, rng)
-        uv = uv[~((uv[:, 0] > 0) & (uv[:, 1] > 0.5))][:count]
-        points = np.asarray(petal(*uv.T))
-    points = points + SIGMA * rng.standard_normal(points.shape)
-    strays = round(count * share / (1 - share))
-    anywhere = rng.uniform(points.min(axis=0), points.max(axis=0), (strays, 3))
-    turn, _ = np.linalg.qr(rng.standard_normal((3, 3)))
-    shift, order = rng.uniform(-50, 50, 3), rng.permutation(count + strays)
-    turn *= np.linalg.det(turn)
-    points = np.concatenate([points, anywhere]) @ turn.T + shift
-    return Buried(petal, points[order], order < count)
+        uv = three_quadrants(sample_uv(petal, 2 * count, rng))[:count]
+    return seen_somewhere(petal, uv, round(count * share / (1 - share)), rng)
 
 
 def off(

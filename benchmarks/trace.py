@@ -13,7 +13,7 @@ import tyro
 from tyro.conf import arg
 
 import petalfit as pf
-from benchmarks.targets import Buried, buried, errors
+from benchmarks.targets import Scene, buried, errors
 from petalfit.components import bare
 from petalfit.fitting.outliers.local_planes import on_sheets
 from petalfit.fitting.solver.observer import Glimpse, looking_on
@@ -31,7 +31,7 @@ def main(
         _trace(seed, buried(seed, share))
 
 
-def _trace(seed: int, scene: Buried) -> None:
+def _trace(seed: int, scene: Scene) -> None:
     likely = on_sheets(scene.points)
     print(f"petal {seed}: likely points, {_told(likely, scene.inside)}")
     stage, last = "", cast("Glimpse | None", None)

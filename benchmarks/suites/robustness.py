@@ -89,7 +89,7 @@ def _found(
 
 def _unburied(seed: int, share: float) -> bool:
     """Whether a petal without a quadrant comes back: a_x to 3 %, b_y to 2 %, the rib frequency to 1 %."""
-    petal, points, _ = buried(seed, share)
-    result = pf.fit_petal(points, pose="rigid", loss="robust", throw=False)
-    off = errors(result.values, petal, ("a_x", "b_y", "rib_frequency"))
+    scene = buried(seed, share)
+    result = pf.fit_petal(scene.points, pose="rigid", loss="robust", throw=False)
+    off = errors(result.values, scene.petal, ("a_x", "b_y", "rib_frequency"))
     return off["a_x"] < 3 and off["b_y"] < 2 and off["rib_frequency"] < 1

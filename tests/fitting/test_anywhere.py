@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -11,7 +10,15 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 import petalfit as pf
-from benchmarks.targets import among_strays, buried, cloud_of, petal_of
+from benchmarks.targets import (
+    Scene,
+    among_strays,
+    buried,
+    cloud_of,
+    petal_of,
+    seen_somewhere,
+    three_quadrants,
+)
 from petalfit.fitting.inference.verdict import about_distances
 from petalfit.fitting.likelihood.mixture import mixture
 from petalfit.fitting.outliers.local_planes import on_sheets
@@ -23,34 +30,15 @@ from petalfit.synthetic import random_petal
 SIGMA = 0.05
 
 
-class Scene(NamedTuple):
-    """A petal somewhere, and what was seen of it."""
-
-    petal: pf.PeonyPetal
-    points: np.ndarray
-    inside: np.ndarray  # whether a point is of the petal
-    rotation: np.ndarray
-    shift: np.ndarray
-
-
 def somewhere(seed: int, *, clutter: bool, count: int = 2000) -> Scene:
     """A petal in a random rigid pose; among clutter a third of the points, and a quadrant unseen."""
     rng = np.random.default_rng([seed, 5])
     petal = random_petal(np.random.default_rng(seed))
     strays = count // 3 if clutter else 0
-    true = count - strays
     with jax.enable_x64(True):
         uv = sample_uv(petal, 2 * count, rng)
-        if clutter:
-            uv = uv[~((uv[:, 0] > 0) & (uv[:, 1] > 0.5))]
-        points = np.asarray(petal(*uv[:true].T))
-    points = points + SIGMA * rng.standard_normal(points.shape)
-    anywhere = rng.uniform(points.min(axis=0), points.max(axis=0), (strays, 3))
-    q, _ = np.linalg.qr(rng.standard_normal((3, 3)))
-    rotation, shift = q * np.linalg.det(q), rng.uniform(-50, 50, 3)
-    order = rng.permutation(count)
-    points = np.concatenate([points, anywhere]) @ rotation.T + shift
-    return Scene(petal, points[order], np.arange(count)[order] < true, rotation, shift)
+    uv = three_quadrants(uv) if clutter else uv
+    return seen_somewhere(petal, uv[: count - strays], strays, rng)
 
 
 def angle_between(one: np.ndarray, other: np.ndarray) -> float:
@@ -101,8 +89,9 @@ def test_petals_are_found_among_60_percent_of_clutter():
     """And the errors that the results give are those that the values have."""
     found, deviations = 0, []
     for seed in range(10):
-        petal, points, inside = buried(seed, 0.6)
-        result = pf.fit_petal(points, pose="rigid", loss="robust")
+        scene = buried(seed, 0.6)
+        petal, inside = scene.petal, scene.inside
+        result = pf.fit_petal(scene.points, pose="rigid", loss="robust")
         bounds = {"a_x": 3.0, "b_y": 2.0, "rib_frequency": 1.0}
         found += all(off(result, petal, name) < bound for name, bound in bounds.items())
         assert (result.weights > 0.5)[inside].mean() > 0.98

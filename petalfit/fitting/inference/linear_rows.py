@@ -13,7 +13,7 @@ from petalfit.compilation import blocks
 from petalfit.fitting.coordinates import Coordinates
 from petalfit.fitting.inference.discrepancy import CELLS, Rows, is_suspect
 from petalfit.fitting.likelihood import programs
-from petalfit.fitting.likelihood.linearise import Linearisation, together
+from petalfit.fitting.likelihood.linearise import Linearisation
 from petalfit.fitting.solver.iterate import Iterate
 from petalfit.observations import PointCloud
 from petalfit.residuals import Data
@@ -76,23 +76,14 @@ class Linear(NamedTuple):
         share = float(np.sum(weights)) / max(float(np.sum(weights[some])), 1e-300)
         coordinates = Coordinates.of(model, tuple(names))
         t = coordinates.inverse(model)
-        sigma, masses = jnp.asarray(float(noise)), blocks(weights[some] * share, 0.0)
-        data = [
-            Data(jnp.asarray(x), jnp.asarray(w), sigma)
-            for x, w in zip(blocks(cloud.points[some]), masses, strict=True)
-        ]
-        places = blocks(uv[some])
-        found = programs.linearise_block.map(
-            [(coordinates, part, t, near) for part, near in zip(data, places, strict=True)]
-        )
-        here = together(found)
+        rows = (cloud.points[some], uv[some])
+        points, places = (np.concatenate(blocks(x)) for x in rows)
+        masses = np.concatenate(blocks(weights[some] * share, 0.0))
+        data = Data(jnp.asarray(points), jnp.asarray(masses), jnp.asarray(float(noise)))
+        here = programs.linearise_in_blocks(coordinates, data, t, places)
         slopes = np.asarray(coordinates.slopes(t))
         by_value = np.where(slopes > 0, 1 / np.where(slopes > 0, slopes, 1.0), 0.0)
-        points, counts = (
-            jnp.concatenate(x) for x in zip(*(part[:2] for part in data), strict=True)
-        )
-        whole = Data(points, counts, sigma)
-        return cls(whole, np.concatenate(places), here, by_value)
+        return cls(data, places, here, by_value)
 
 
 def rows_of(end: Iterate, names: Sequence[str], cloud: PointCloud) -> Rows | None:

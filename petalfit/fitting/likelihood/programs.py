@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from petalfit.compilation import Program, RowProgram, split_into
+from petalfit.compilation import BLOCK, Program, RowProgram, split_into
 from petalfit.fitting.coordinates import Coordinates, Numbers
 from petalfit.fitting.likelihood.linearise import Linearisation, together
 from petalfit.fitting.likelihood.linearise import linearise as _linearise
@@ -65,25 +65,32 @@ positions = Program(_positions)
 frames = RowProgram(frame, (1,))
 nearest = RowProgram(nearest_nodes, (1,))
 _refine = RowProgram(refine_foot_points, (1, 2))
-linearise_block = Program(_linearise)
+_linearise_block = Program(_linearise)
 
 
 def linearise(
     coordinates: Coordinates, data: Data, t: Float[np.ndarray, " p"], uv: Numbers
 ) -> Linearisation:
     """See `petalfit.fitting.likelihood.linearise`; a large cloud is linearised in blocks."""
-    number = split_into(len(uv))
-    if number == 1:
-        return linearise_block(coordinates, data, t, uv)
+    if split_into(len(uv)) == 1:
+        return _linearise_block(coordinates, data, t, uv)
     if np.isnan(float(data.sigma)):
         distance = frames(coordinates.model(t), uv).distance(data.points)
         data = data._replace(sigma=estimate_sigma(data, distance, len(t)))
+    return linearise_in_blocks(coordinates, data, t, uv)
+
+
+def linearise_in_blocks(
+    coordinates: Coordinates, data: Data, t: Float[np.ndarray, " p"], uv: Numbers
+) -> Linearisation:
+    """The same for a cloud of given noise whose size is a multiple of `BLOCK`."""
+    number = len(uv) // BLOCK
     points, weights, places = (np.split(np.asarray(x), number) for x in (*data[:2], uv))
     parts = [
         (coordinates, Data(jnp.asarray(block), jnp.asarray(weight), data.sigma), t, place)
         for block, weight, place in zip(points, weights, places, strict=True)
     ]
-    return together(linearise_block.map(parts))
+    return together(_linearise_block.map(parts))
 
 
 def refine(

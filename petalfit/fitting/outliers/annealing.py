@@ -10,7 +10,7 @@ import dataclasses
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from petalfit.compilation import bucket, pad_to
 from petalfit.fitting.coordinates import Coordinates, Prior
@@ -23,7 +23,6 @@ from petalfit.fitting.solver.iterate import Iterate
 from petalfit.residuals import TangentDistance
 from petalfit.surfaces import AbstractSurface
 
-_UNLIKELY = 0.05  # weight of points that lie on no surface, while a model is still far away
 # Scales of the kernel in robust standard deviations of the distances, and the factor between two of them.
 _WIDEST, _NARROWEST, _NARROWING = 6.0, 3.0, 0.6
 _AT_ONCE, _ROUNDS = 3, 36  # rounds between two mixtures, and all together
@@ -40,7 +39,6 @@ def approach(
     model: AbstractSurface,
     points: Float[np.ndarray, "n 3"],
     weights: Float[np.ndarray, " n"],
-    likely: Bool[np.ndarray, " n"],
 ) -> Iterate:
     """Brings a rough start near to the surface, with a kernel that narrows.
 
@@ -48,22 +46,20 @@ def approach(
         coordinates: The free parameters.
         background: The model of points that do not belong to the surface.
         model: The start.
-        points: All points that have a weight.
+        points: Points that seem to belong to a surface.
         weights: The number of observations that each point counts for.
-        likely: Whether each point seems to belong to a surface; the others count for little.
 
     Returns:
         The end, with the mixture of its points.
     """
-    base = weights * np.where(likely, 1.0, _UNLIKELY)
-    cloud = ObservedCloud(pad(points, base, None))
+    cloud = ObservedCloud(pad(points, weights, None))
     term, scale, n = cloud.match(model, None), np.inf, len(points)
     least = _EXACT * float(np.linalg.norm(np.ptp(points, axis=0)))
     while True:
         distance = signed_distance(*cloud.apart(model, term))[:n]
-        narrowest = max(_NARROWEST * spread_of(distance[likely]), least)
+        narrowest = max(_NARROWEST * spread_of(distance), least)
         scale = min(_WIDEST / _NARROWEST * narrowest, scale)
-        kept = base * geman_mcclure(distance, max(scale, narrowest))
+        kept = weights * geman_mcclure(distance, max(scale, narrowest))
         end = _followed(coordinates, model, points, kept, None, term.uv, 2, 0.3)
         model, term = end.model, cloud.match(end.model, term_of(end))
         if scale <= narrowest:

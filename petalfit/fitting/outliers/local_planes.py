@@ -109,15 +109,10 @@ def _planes_in_balls(
     for _ in range(_FITTED):
         ratio = _ratio(np.einsum("nki,ni->nk", ball, normal), share, level, thick)
         members = ratio / (1 + ratio)
-        total = members.sum(axis=1) + 1e-300
-        share = np.clip(total / ball.shape[1], 0.05, 0.95)
-        middle = np.einsum("nk,nki->ni", members, ball) / total[:, None]
-        centred = ball - middle[:, None]
-        spread = np.einsum("nk,nki,nkj->nij", members, centred, centred) / total[:, None, None]
-        squares, axes = np.linalg.eigh(spread)
-        normal = axes[:, :, 0]
+        share = np.clip(members.mean(axis=1), 0.05, 0.95)
+        middle, normal, deviation = _nearest_plane(ball, members)
         level = np.einsum("ni,ni->n", middle, normal)
-        thick = np.clip(np.sqrt(np.maximum(squares[:, 0], 0.0)), _THINNEST, _THICKEST)
+        thick = np.clip(deviation, _THINNEST, _THICKEST)
     ratio = _ratio(np.einsum("nki,ni->nk", ball, normal), share, level, thick)
     gain = np.sum(np.log((1 - share)[:, None] * (1 + ratio)), axis=1)
     return ratio / (1 + ratio), gain
@@ -193,12 +188,20 @@ def _local_planes(
     weights = np.ones(around.shape[:2])
     middle = normal = np.zeros_like(points)
     for _ in range(4):
-        total = weights.sum(axis=1)
-        middle = np.einsum("nk,nki->ni", weights, around) / total[:, None]
-        centred = around - middle[:, None]
-        spread = np.einsum("nk,nki,nkj->nij", weights, centred, centred)
-        normal = np.linalg.eigh(spread)[1][:, :, 0]
-        off = np.einsum("nki,ni->nk", centred, normal)
+        middle, normal, _ = _nearest_plane(around, weights)
+        off = np.einsum("nki,ni->nk", around - middle[:, None], normal)
         scale = 2 * np.median(np.abs(off), axis=1, keepdims=True) + 1e-300
         weights = geman_mcclure(off, scale)
     return gaps[:, _NEIGHBOUR], np.einsum("ni,ni->n", points - middle, normal)
+
+
+def _nearest_plane(
+    points: Float[np.ndarray, "n k 3"], weights: Float[np.ndarray, "n k"]
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
+    """Middles and normals of the planes nearest to groups of points, and root mean square distances."""
+    total = weights.sum(axis=1) + 1e-300
+    middle = np.einsum("nk,nki->ni", weights, points) / total[:, None]
+    centred = points - middle[:, None]
+    spread = np.einsum("nk,nki,nkj->nij", weights, centred, centred) / total[:, None, None]
+    squares, axes = np.linalg.eigh(spread)
+    return middle, axes[:, :, 0], np.sqrt(np.maximum(squares[:, 0], 0.0))

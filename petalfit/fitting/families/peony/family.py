@@ -124,13 +124,12 @@ def _from_anywhere(
     """Ends of a fit in an unknown pose, for all poses that the cloud allows."""
     names = (*free, *Posed.free_in(pose))
     report("searching the pose")
-    likely = scan.points[scan.some(START_POINTS)]
+    some = scan.some(START_POINTS)
+    points, weights = scan.points[some], scan.weights[some]
     smooth = template
     if "rib_amplitude" in free:
         smooth = with_values(template, {"rib_amplitude": 0.0})
-    placed = placed_petals(smooth, free, likely, pose)
-    some = scan.some(START_POINTS)
-    points, weights = scan.points[some], scan.weights[some]
+    placed = placed_petals(smooth, free, points, pose)
     background = scan.background or Clutter.around(scan.points)
 
     def approached(start: Placed) -> Iterate:
@@ -138,7 +137,7 @@ def _from_anywhere(
             in_doubles(start.petal), start.rotation, start.translation, np.float64(start.unit)
         )
         held = Coordinates.of(posed, names).holding(RIBS)
-        return approach(held, background, posed, points, weights, scan.likely[some])
+        return approach(held, background, posed, points, weights)
 
     found: list[Iterate] = []
     easy = pose == "rigid" and scan.background is None
@@ -150,7 +149,7 @@ def _from_anywhere(
     members = _members(best)
     if again and np.count_nonzero(members > 0.5) > _FEWEST:
         report("searching again along its normal")
-        inside = points[members > 0.5][:START_POINTS]
+        inside = points[members > 0.5]
         placed = placed_petals(smooth, free, inside, pose, np.asarray(_placement(best).rotation))
         found += map(approached, placed[:again])
     if scan.background is not None:

@@ -48,8 +48,8 @@ def known_starts(
     if scan.background is not None:
         # A few strays that seem to belong to a surface would bend the petal.
         held = coordinates.holding(RIBS).around(polished.model)
-        points, weights, likely = scan.points[some], scan.weights[some], scan.likely[some]
-        polished = approach(held, scan.background, polished.model, points, weights, likely)
+        weights = scan.weights[some]
+        polished = approach(held, scan.background, polished.model, points, weights)
     smooth, term = polished.model, term_of(polished)
     if not set(RIBS) & set(free):
         yield "the outline", with_values(smooth, {"rib_amplitude": template.rib_amplitude})
