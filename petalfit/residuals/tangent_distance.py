@@ -22,7 +22,8 @@ from petalfit.residuals.foot_point import slide_foot_points
 from petalfit.residuals.term import AbstractFrozen, AbstractTerm, Pull
 from petalfit.surfaces import AbstractSurface
 
-# Edge residuals are computed for the quarter of the points nearest to an edge, but for at least so many.
+# Edge residuals are computed for the quarter of the points nearest to an edge, but for at least so many,
+# unless they are wanted everywhere.
 _FEW = 256
 
 
@@ -64,12 +65,15 @@ class TangentDistance(AbstractTerm):
         sigma: The noise, given or estimated from the distances.
         slides: The number of Newton steps of the foot points before they are held fixed; 0 if they have
             converged already.
+        everywhere: Whether edge residuals are computed for all points, and not only for those nearest to
+            an edge.
     """
 
     data: Data
     uv: Float[Array, "n 2"]
     sigma: Float[Array, ""]
     slides: Int[Array | np.ndarray, ""] = eqx.field(default_factory=lambda: np.asarray(2))
+    everywhere: bool = eqx.field(static=True, default=False)
 
     def freeze(
         self, surface: AbstractSurface, free: int
@@ -82,10 +86,11 @@ class TangentDistance(AbstractTerm):
         sigma = estimate_sigma(data, here.distance(data.points), free)
         beyond = jnp.max(here.beyond(data.points), axis=-1)
         beyond = jnp.where(data.weights > 0, beyond, -jnp.inf)
-        _, near = jax.lax.top_k(beyond, max(len(uv) // 4, min(len(uv), _FEW)))
+        few = len(uv) if self.everywhere else max(len(uv) // 4, min(len(uv), _FEW))
+        _, near = jax.lax.top_k(beyond, few)
         pull = edge_pull(surface, edge, uv, data.weights, beyond / sigma, sigma)
         return (
-            TangentDistance(data=data, uv=uv, sigma=sigma),
+            TangentDistance(data=data, uv=uv, sigma=sigma, everywhere=self.everywhere),
             FrozenDistance(data, uv, sigma, here, near),
             Pull(nodes[:EDGE_NODES], pull),
         )

@@ -26,6 +26,7 @@ class ComponentFamily(AbstractFamily):
     """The family of components that have no family of their own."""
 
     kind: ClassVar[type[AbstractSurface]] = AbstractSurface
+    takes: ClassVar[frozenset[str]] = AbstractFamily.takes | {"every_point"}
 
     def fit_cloud(self, request: Request) -> list[Iterate]:
         coordinates = Coordinates.of(request.template, request.free)

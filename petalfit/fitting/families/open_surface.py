@@ -17,7 +17,8 @@ from petalfit.fitting.families.family import AbstractFamily
 from petalfit.fitting.families.polish import likelier
 from petalfit.fitting.inference.discrepancy import INDEPENDENT, discrepancy_of, temperature
 from petalfit.fitting.inference.linear_rows import may_have_misfit, rows_of
-from petalfit.fitting.likelihood.condensed import COARSE, ENOUGH, FINE, CondensedSheet, beside_many
+from petalfit.fitting.likelihood.condensed_sheet import COARSE, ENOUGH, FINE, CondensedSheet
+from petalfit.fitting.likelihood.relief import beside_many
 from petalfit.fitting.likelihood.sheet import Sheet
 from petalfit.fitting.outliers.scan import Scan
 from petalfit.fitting.request.checks import POSES

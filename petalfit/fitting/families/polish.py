@@ -10,11 +10,13 @@ import numpy as np
 from petalfit.compilation import stage
 from petalfit.fitting.coordinates import Coordinates, Prior
 from petalfit.fitting.inference.pinning import pinned
-from petalfit.fitting.likelihood.cloud import ObservedCloud, pad
+from petalfit.fitting.likelihood.cloud import BIAS_POINTS, ObservedCloud, pad
+from petalfit.fitting.likelihood.condensed_cloud import ENOUGH, CondensedCloud
 from petalfit.fitting.likelihood.foot_points import guess_foot_points
+from petalfit.fitting.likelihood.relief import beside_many
 from petalfit.fitting.outliers.annealing import clear, term_of
 from petalfit.fitting.outliers.scan import Scan
-from petalfit.fitting.solver.alternate import minimise
+from petalfit.fitting.solver.alternate import minimise, whiten
 from petalfit.fitting.solver.debias import without_bias
 from petalfit.fitting.solver.iterate import Iterate
 from petalfit.fitting.solver.observer import report
@@ -28,6 +30,10 @@ _TOLERANCE = 1e-2  # standard errors
 # Among outliers a start is given up if its χ² with some of the points is worse than that of another one
 # by more than this.
 _HOPELESS = 60.0
+_PART = 1 << 16  # points of a large cloud that are condensed first
+# Standard errors by which a large cloud that is condensed anew may move the end; the next time it would
+# move by less than half of that, unless a few points go to and fro between two layers of a fold.
+_SAME = 0.5
 
 
 def follow(
@@ -64,13 +70,16 @@ class Polishing:
     """Finds the ends of starts in one scan, with some of its points first, then with all.
 
     The second stage thus begins within a few standard errors of its end. A start that is clearly worse
-    than an earlier one after the first stage is given up.
+    than an earlier one after the first stage is given up. A large cloud is condensed for the second stage
+    beside a surface with edges, unless every point is to take part in every step.
     """
 
     def __init__(self, scan: Scan, coordinates: Coordinates) -> None:
         self._scan = scan
         self._coordinates = coordinates
         self._least = np.inf  # χ² after the first stage, the least so far
+        sheet = all(coordinates.template.edges)
+        self._condenses = len(scan.points) > ENOUGH and sheet and not scan.every_point
 
     def __call__(self, label: str, model: AbstractSurface, prior: Prior | None) -> Iterate | None:
         """The end of a start; None if it has no hope. With a prior, every start has an end."""
@@ -84,12 +93,62 @@ class Polishing:
                 if chi2 > self._least + _HOPELESS:
                     return None
             model = first.model
+            if self._condenses:
+                near, cloud = _by_passes(scan, coordinates, first, prior)
+                end = without_bias(coordinates, label, [cloud], near, prior)
+                return end if end.mixture is None else likelier(end, scan)
         end, weights = _polished_on(
             scan, coordinates, model, np.arange(len(scan.points)), _ROUNDS, _TOLERANCE, prior
         )
         cloud = ObservedCloud.of(scan.points, weights, scan.noise, scan.order)
         end = without_bias(coordinates, label, [cloud], end, prior)
         return end if end.mixture is None else likelier(end, scan)
+
+
+def _by_passes(
+    scan: Scan, coordinates: Coordinates, near: Iterate, prior: Prior | None
+) -> tuple[Iterate, CondensedCloud]:
+    """The end in a large cloud, which is condensed again where the last steps ended."""
+    points, weights, mixture = scan.points, scan.weights, near.mixture
+    first = scan.order[:BIAS_POINTS]
+    if scan.background is not None:
+        # Outliers are searched for among so many points; then all are judged by what was learned.
+        some = points[first], weights[first], scan.noise
+        near = clear(coordinates, scan.background, near.model, *some, prior)
+        beside = beside_many(near.model, points)[:2]
+        mixture = scan.background.mixture(near.model, *beside, weights, scan.noise)
+        weights = weights * mixture.members
+    sample = pad(points[first], weights[first], scan.noise)
+    blur, rounds, moved = float(term_of(near).sigma), near.rounds, np.inf
+    # A part of the points brings the end within a few standard errors of that of all points.
+    some = scan.order[:_PART] if len(points) > 2 * _PART else slice(None)
+    while True:
+        cloud = CondensedCloud.near(
+            near.model, points[some], weights[some], scan.noise, blur, len(coordinates.free), sample
+        )
+        end = minimise(coordinates, [cloud], near.model, [cloud.start], _ROUNDS, _TOLERANCE, prior)
+        rounds += end.rounds
+        before, moved = moved, _away(coordinates, cloud, near, end)
+        near, whole = end, len(cloud.points) == len(points)
+        if whole and (moved < _SAME or moved > before / 2):
+            break
+        if not whole:
+            some, moved = slice(None), np.inf
+    used = {"first steps": START_POINTS, "last steps": cloud.cells, "residuals": len(points)}
+    end = dataclasses.replace(
+        end, rounds=rounds, moved=max(moved, end.moved), mixture=mixture, points_used=used
+    )
+    return end, cloud
+
+
+def _away(coordinates: Coordinates, cloud: CondensedCloud, near: Iterate, end: Iterate) -> float:
+    """How far two iterates are apart, in standard errors, the largest over all directions."""
+    t = coordinates.inverse(end.model)
+    information, _ = cloud.information(coordinates, t, term_of(end))
+    step = np.linalg.solve(
+        whiten(information + np.eye(len(t))), t - coordinates.inverse(near.model)
+    )
+    return float(np.max(np.abs(step)))
 
 
 def likelier(end: Iterate, scan: Scan) -> Iterate:

@@ -28,14 +28,16 @@ from petalfit.observations import PointCloud
 from petalfit.residuals import AbstractTerm, Data, TangentDistance, perturbation
 from petalfit.surfaces import AbstractSurface
 
-_BIAS_POINTS = 6144  # this many points are enough to measure the bias
+BIAS_POINTS = 6144  # this many points are enough to measure the bias
 _ROUNDING = 1e-12  # smaller distances, relative to the largest coordinate, are rounding errors
 _FAR = 6.0  # typical distances, beyond which a foot point may be on the wrong fold
 
 
-def pad(points: np.ndarray, weights: np.ndarray, noise: float | None) -> Data:
-    """A cloud padded to a bucketed size; the padding repeats the first point with weight zero."""
-    size = bucket(len(points))
+def pad(
+    points: np.ndarray, weights: np.ndarray, noise: float | None, size: int | None = None
+) -> Data:
+    """A cloud padded to a size, by default a bucketed one; the padding repeats the first point."""
+    size = bucket(len(points)) if size is None else size
     return Data(
         jnp.asarray(pad_to(points, size)),
         jnp.asarray(np.concatenate([weights, np.zeros(size - len(weights))])),
@@ -63,8 +65,8 @@ class ObservedCloud(AbstractObserved):
         cls, points: np.ndarray, weights: np.ndarray, noise: float | None, order: np.ndarray
     ) -> ObservedCloud:
         """The cloud of points; the first ones in `order` are the sample that the bias is measured on."""
-        some = order[:_BIAS_POINTS]
-        sample = None if len(order) <= _BIAS_POINTS else pad(points[some], weights[some], noise)
+        some = order[:BIAS_POINTS]
+        sample = None if len(order) <= BIAS_POINTS else pad(points[some], weights[some], noise)
         return cls(pad(points, weights, noise), sample)
 
     @classmethod
@@ -98,7 +100,7 @@ class ObservedCloud(AbstractObserved):
             return self._weighed(model, self.at(uv))
         assert isinstance(term, TangentDistance)
         uv = programs.refine(model, points, term.uv, 2)
-        return self._weighed(model, TangentDistance(data=self.data, uv=uv, sigma=term.sigma))
+        return self._weighed(model, dataclasses.replace(self.at(uv), sigma=term.sigma))
 
     def _weighed(self, model: AbstractSurface, term: TangentDistance) -> TangentDistance:
         """The term whose points count by the probability that they belong to the model."""
@@ -106,7 +108,7 @@ class ObservedCloud(AbstractObserved):
             return term
         weights = np.asarray(self.data.weights) * self._mixture(model, term).members
         data = self.data._replace(weights=jnp.asarray(weights))
-        return TangentDistance(data=data, uv=term.uv, sigma=term.sigma)
+        return dataclasses.replace(term, data=data)
 
     def _mixture(self, model: AbstractSurface, term: TangentDistance) -> Mixture:
         assert self.weigh is not None
@@ -161,7 +163,7 @@ class ObservedCloud(AbstractObserved):
         share = np.sum(weights) / np.sum(np.asarray(data.weights))
         score /= share * float(seen.sigma) ** 2
         information = np.asarray(seen.information)
-        term = TangentDistance(data=data, uv=uv, sigma=term.sigma)
+        term = dataclasses.replace(term, uv=uv)
         return ScoreAndInformation(term, information, score, information)
 
     def residuals(

@@ -107,8 +107,6 @@ def distances_beside(
     """
     padded = jnp.asarray(pad_to(points, bucket(len(points))))
     uv = programs.refine(surface, padded, guess_foot_points(surface, padded), 3)
-    here = programs.frames(surface, uv)
-    distance = np.asarray(here.distance(padded))
-    beyond = np.max(np.asarray(here.beyond(padded)), axis=-1)
+    distance, beyond = map(np.asarray, programs.beside(surface, padded, uv))
     n = len(points)
     return distance[:n], beyond[:n], np.asarray(uv)[:n]

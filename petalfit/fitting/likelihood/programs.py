@@ -38,6 +38,17 @@ def _distances(
 distances = RowProgram(_distances, (1, 2))
 
 
+def _beside(
+    surface: AbstractSurface, points: Float[Array, "n 3"], uv: Float[Array, "n 2"]
+) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
+    """Signed normal distances, and distances beyond the nearest edge, negative inside."""
+    here = frame(surface, uv)
+    return here.distance(points), jnp.max(here.beyond(points), axis=-1)
+
+
+beside = RowProgram(_beside, (1, 2))
+
+
 def _places(surface: AbstractSurface, uv: Float[Array, "n 2"]) -> Float[Array, "n 3"]:
     return surface.position(uv[:, 0], uv[:, 1])
 

@@ -21,6 +21,7 @@ class Scan:
         noise: σ, or None to estimate it.
         background: The model of points that do not belong to the surface; None if all belong to it.
         likely: Whether each point seems to belong to a surface, shape (n,).
+        every_point: Whether every step is to take all points, however many there are.
     """
 
     points: Float[np.ndarray, "n 3"]
@@ -29,6 +30,7 @@ class Scan:
     noise: float | None
     background: AbstractBackground | None
     likely: Bool[np.ndarray, " n"]
+    every_point: bool = False
 
     @classmethod
     def of(
@@ -38,10 +40,11 @@ class Scan:
         order: Int[np.ndarray, " n"],
         noise: float | None,
         loss: AbstractLoss,
+        every_point: bool,
     ) -> Scan:
         """The scan of points under the assumptions of a loss."""
         background, likely = loss.background(points), loss.likely(points)
-        return cls(points, weights, order, noise, background, likely)
+        return cls(points, weights, order, noise, background, likely, every_point)
 
     def some(self, count: int) -> Int[np.ndarray, " m"]:
         """Indices of at most `count` points that seem to belong to a surface, in random order."""

@@ -82,6 +82,7 @@ def scan_of(request: Request, frame: NormalisedFrame, shuffled: bool) -> tuple[S
     order = frame.order(points if shuffled else own, request.seed)
     noise = None if noise is None else noise / frame.unit
     every = np.arange(len(own))
+    asked = noise, request.loss, request.every_point
     if shuffled:
-        return Scan.of(own[order], weights[order], every, noise, request.loss), order
-    return Scan.of(own, weights, order, noise, request.loss), every
+        return Scan.of(own[order], weights[order], every, *asked), order
+    return Scan.of(own, weights, order, *asked), every

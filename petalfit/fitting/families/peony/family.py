@@ -8,6 +8,7 @@ from typing import ClassVar, cast
 
 import numpy as np
 
+from petalfit.compilation import pad_to
 from petalfit.components import PeonyPetal, Posed
 from petalfit.fitting.coordinates import Coordinates, Prior, in_doubles, with_values
 from petalfit.fitting.families.family import AbstractFamily
@@ -24,7 +25,7 @@ from petalfit.fitting.families.peony.ribs import (
     with_ribs,
 )
 from petalfit.fitting.families.polish import START_POINTS, Polishing, follow
-from petalfit.fitting.likelihood.cloud import ObservedCloud, pad
+from petalfit.fitting.likelihood.cloud import BIAS_POINTS, ObservedCloud, pad
 from petalfit.fitting.likelihood.views import ObservedViews
 from petalfit.fitting.outliers.annealing import approach, term_of
 from petalfit.fitting.outliers.robust import Clutter
@@ -60,6 +61,7 @@ class PeonyFamily(AbstractFamily):
     # A fitted pose makes the petal's place along its normal redundant.
     gauges: ClassVar[Mapping[str, tuple[str, ...]]] = {"rigid": ("c_z",), "similarity": ("c_z",)}
     is_petal: ClassVar[bool] = True
+    takes: ClassVar[frozenset[str]] = AbstractFamily.takes | {"every_point"}
 
     def fit_cloud(self, request: Request) -> list[Iterate]:
         used = request.cloud.mass > 0
@@ -114,7 +116,6 @@ def _from_known(coordinates: Coordinates, scan: Scan, from_template: bool) -> li
     starts = known_starts(coordinates, scan)
     if from_template:
         starts = [("given", coordinates.template)]
-
     return follow(coordinates, starts, Polishing(scan, coordinates))
 
 
@@ -227,8 +228,10 @@ def _ribs_left(coordinates: Coordinates, scan: Scan, end: Iterate) -> bool:
     """Whether other ribs would explain the residuals of an end, so that its own are the wrong ones."""
     (seen,) = end.residuals
     assert seen.uv is not None
-    data = pad(scan.points, np.asarray(seen.weights)[: len(scan.points)], seen.noise)
-    return explaining(coordinates.around(end.model), data, seen.uv)[0].gain > _RIBS_LEFT
+    some = scan.order[:BIAS_POINTS]
+    data = pad(scan.points[some], np.asarray(seen.weights)[some], seen.noise)
+    uv = pad_to(seen.uv[some], len(data.points))
+    return explaining(coordinates.around(end.model), data, uv)[0].gain > _RIBS_LEFT
 
 
 def _likelihood(near: Iterate) -> float:

@@ -1,0 +1,109 @@
+"""The likelihood of a large cloud by tangent distances, with one point for each cell of a surface."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from petalfit.compilation import BLOCK, bucket, pad_to
+from petalfit.fitting.coordinates import Coordinates
+from petalfit.fitting.likelihood import programs
+from petalfit.fitting.likelihood.cells import Cells, condense
+from petalfit.fitting.likelihood.cloud import ObservedCloud, comparable, pad
+from petalfit.fitting.likelihood.foot_points import signed_distance
+from petalfit.fitting.likelihood.observed import Residuals
+from petalfit.residuals import AbstractTerm, Data, TangentDistance
+from petalfit.surfaces import AbstractSurface
+
+# Across a petal lie its ribs and a sharp crest. Along it everything is smooth.
+CELLS = Cells(128, 12, 0.25, inside=3.0)
+ENOUGH = (
+    24576  # points of a cloud that is not condensed; to condense fewer takes as long as to use them
+)
+_SIZE = 12288  # to which cells are padded
+_ROUNDING = 1e-9  # smaller noise, relative to the extent, is no noise
+
+
+@dataclasses.dataclass(frozen=True)
+class CondensedCloud(ObservedCloud):
+    """The likelihood of many points beside a surface that they nearly lie on.
+
+    Its `data` are the cells, with the noise that all points have beside that surface, if none is given.
+
+    Attributes:
+        points: All points, shape (n, 3).
+        weights: The number of observations that each counts for, shape (n,).
+        foot_points: Their foot points, shape (n, 2).
+        places: The places of the cells on the surface, with those of the padding, shape (m, 2).
+    """
+
+    points: Float[np.ndarray, "n 3"] = dataclasses.field(kw_only=True)
+    weights: Float[np.ndarray, " n"] = dataclasses.field(kw_only=True)
+    foot_points: Float[np.ndarray, "n 2"] = dataclasses.field(kw_only=True)
+    places: Float[np.ndarray, "m 2"] = dataclasses.field(kw_only=True)
+
+    @classmethod
+    def near(
+        cls,
+        surface: AbstractSurface,
+        points: Float[np.ndarray, "n 3"],
+        weights: Float[np.ndarray, " n"],
+        noise: float | None,
+        blur: float,
+        free: int,
+        sample: Data,
+    ) -> CondensedCloud:
+        """Condenses a cloud beside a surface.
+
+        Args:
+            surface: The surface.
+            points: The points.
+            weights: The number of observations that each point counts for.
+            noise: σ, or None to estimate it.
+            blur: About σ, in which the cells near the edges are measured.
+            free: The number of free parameters.
+            sample: A part of the cloud that is large enough to measure the bias on.
+        """
+        few = condense(points, weights, surface, blur, CELLS)
+        if noise is None:
+            variance = few.squares / max(float(np.sum(weights)) - free, 1.0)
+            noise = max(np.sqrt(variance), _ROUNDING * float(np.max(np.abs(points))))
+        size = max(_SIZE, bucket(len(few.points)))
+        data = pad(few.points, few.weights, noise, size)
+        return cls(
+            data,
+            sample,
+            points=points,
+            weights=weights,
+            foot_points=few.foot_points,
+            places=pad_to(few.uv, size),
+        )
+
+    @property
+    def cells(self) -> int:
+        """The number of cells that are not empty."""
+        return int(np.count_nonzero(self.data.weights))
+
+    def at(self, uv: Float[Array, "n 2"]) -> TangentDistance:
+        return dataclasses.replace(super().at(uv), everywhere=True)
+
+    @property
+    def start(self) -> TangentDistance:
+        """The term with the places where the cloud was condensed."""
+        return self.at(jnp.asarray(self.places))
+
+    def residuals(
+        self, coordinates: Coordinates, t: np.ndarray, term: AbstractTerm
+    ) -> list[Residuals]:
+        """The residuals of all points, at the foot points that they had when they were condensed."""
+        size = len(self.points)
+        rows = -(-size // BLOCK) * BLOCK
+        points, uv = (pad_to(x, rows) for x in (self.points, self.foot_points))
+        beside = programs.beside(coordinates.model(t), points, uv)
+        distance = signed_distance(*(np.asarray(x)[:size] for x in beside))
+        chi2 = comparable(distance, self.weights)
+        noise = float(term.sigma)
+        return [Residuals(distance, self.weights, noise, "length", chi2, self.foot_points)]
