@@ -200,9 +200,7 @@ def _condensed(best: Iterate) -> list[str]:
     used = best.points_used
     if not used:
         return []
-    return [
-        f"Steps took {used['last steps']:,} cells, which stand for all {used['residuals']:,} points."
-    ]
+    return [f"Steps took {used['last steps']:,} points, which stand for all {used['residuals']:,}."]
 
 
 def _declared(model: AbstractSurface, names: Sequence[str]) -> dict[str, Parameter]:

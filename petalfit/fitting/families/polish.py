@@ -134,7 +134,7 @@ def _by_passes(
             break
         if not whole:
             some, moved = slice(None), np.inf
-    used = {"first steps": START_POINTS, "last steps": cloud.cells, "residuals": len(points)}
+    used = {"first steps": START_POINTS, "last steps": cloud.count, "residuals": len(points)}
     end = dataclasses.replace(
         end, rounds=rounds, moved=max(moved, end.moved), mixture=mixture, points_used=used
     )

@@ -1,9 +1,10 @@
-"""Cells of a surface, which the points of a large cloud are sorted into; each cell counts as one point.
+"""Cells of a surface, which the points of a large cloud are sorted into.
 
 A smooth surface does not need millions of points in every step. Cells are small beside every bend of the
-surface, and near its edges they are narrow bands along them. The points of a cell count as one, at the
-mean of their places and of their distances from the surface, with the sum of their weights: to first
-order in the change of the surface the likelihood is that of all points.
+surface, and near its edges they are narrow bands along them. The points of a cell count as two, one
+standard deviation before the mean of their places and behind it, at mean distances from the surface that
+follow their trend across the cell, with half the sum of their weights. To first order in the change of
+the surface the likelihood is that of all points.
 """
 
 from __future__ import annotations
@@ -78,7 +79,7 @@ class Cells:
 
 
 class Condensed(NamedTuple):
-    """The points that stand for those of a cloud, one for each cell that is not empty.
+    """The points that stand for those of a cloud, two for each cell with more than one point.
 
     Attributes:
         points: Where they lie, shape (n, 3).

@@ -1,4 +1,4 @@
-"""The likelihood of a large cloud by tangent distances, with one point for each cell of a surface."""
+"""The likelihood of a large cloud by tangent distances, condensed to cells of a surface."""
 
 from __future__ import annotations
 
@@ -20,10 +20,9 @@ from petalfit.surfaces import AbstractSurface
 
 # Across a petal lie its ribs and a sharp crest. Along it everything is smooth.
 CELLS = Cells(128, 12, 0.25, inside=3.0)
-ENOUGH = (
-    24576  # points of a cloud that is not condensed; to condense fewer takes as long as to use them
-)
-_SIZE = 12288  # to which cells are padded
+# Points of a cloud that is not condensed: to condense fewer takes as long as to use them.
+ENOUGH = 24576
+_SIZE = 12288  # to which they are padded once condensed
 _ROUNDING = 1e-9  # smaller noise, relative to the extent, is no noise
 
 
@@ -31,13 +30,14 @@ _ROUNDING = 1e-9  # smaller noise, relative to the extent, is no noise
 class CondensedCloud(ObservedCloud):
     """The likelihood of many points beside a surface that they nearly lie on.
 
-    Its `data` are the cells, with the noise that all points have beside that surface, if none is given.
+    Its `data` are the points that stand for those of each cell. If no noise is given, they have the noise
+    of all points beside that surface.
 
     Attributes:
         points: All points, shape (n, 3).
         weights: The number of observations that each counts for, shape (n,).
         foot_points: Their foot points, shape (n, 2).
-        places: The places of the cells on the surface, with those of the padding, shape (m, 2).
+        places: The places of the points in `data`, with those of the padding, shape (m, 2).
     """
 
     points: Float[np.ndarray, "n 3"] = dataclasses.field(kw_only=True)
@@ -83,8 +83,8 @@ class CondensedCloud(ObservedCloud):
         )
 
     @property
-    def cells(self) -> int:
-        """The number of cells that are not empty."""
+    def count(self) -> int:
+        """The number of points that stand for all."""
         return int(np.count_nonzero(self.data.weights))
 
     def at(self, uv: Float[Array, "n 2"]) -> TangentDistance:

@@ -22,12 +22,12 @@ FINE, COARSE = Cells(32, 48, 0.5), Cells(16, 20, 1.0)
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class CondensedSheet(Sheet):
-    """The likelihood of a large cloud near a surface: one point for each cell.
+    """The likelihood of a large cloud near a surface: two points for each cell.
 
     Attributes:
         cloud: The likelihood of the cloud itself.
         scattered: Σ w |x − x̄|² of its points about those that stand for them.
-        uv: The places of the cells on the surface, shape (n, 2).
+        uv: The places of these points on the surface, shape (n, 2).
     """
 
     cloud: Sheet
@@ -60,7 +60,7 @@ class CondensedSheet(Sheet):
         return found._replace(cost=found.cost + 0.5 * lost)
 
     def nearest(self, surface: AbstractSurface) -> Float[np.ndarray, "m 2"]:
-        """The places of the cells; every surface that is asked for is near to the one that has them."""
+        """The places of the points; every surface that is asked for is near to the one that has them."""
         return np.concatenate(blocks(self.uv))
 
     def beside(
