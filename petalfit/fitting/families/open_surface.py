@@ -173,7 +173,7 @@ class OpenSurfaceFamily(AbstractFamily):
                 near.append(settle(begun(problem(model), model, label), _ROUGH, _NEAR))
         near = _promising(near)
         heat = _temperature(near[0], names)
-        large = len(scan.points) > ENOUGH and not request.every_point
+        large = len(scan.points) > ENOUGH and not scan.every_point
         if len(scan.points) > 2 * _SOME:
             used["steps with some"] = min(_SOME, len(sheets))
             report("polishing with some of the points")

@@ -83,24 +83,22 @@ class Polishing:
 
     def __call__(self, label: str, model: AbstractSurface, prior: Prior | None) -> Iterate | None:
         """The end of a start; None if it has no hope. With a prior, every start has an end."""
-        scan, coordinates = self._scan, self._coordinates
+        scan, coordinates, near = self._scan, self._coordinates, None
         if len(scan.order) > 2 * START_POINTS:
             some = scan.some(START_POINTS)
-            first = _polished_on(scan, coordinates, model, some, 10, 0.1, prior)[0]
-            if first.mixture is not None and prior is None:
-                chi2 = -2 * first.mixture.log_likelihood
+            near = _polished_on(scan, coordinates, model, some, 10, 0.1, prior)[0]
+            if near.mixture is not None and prior is None:
+                chi2 = -2 * near.mixture.log_likelihood
                 self._least = min(self._least, chi2)
                 if chi2 > self._least + _HOPELESS:
                     return None
-            model = first.model
-            if self._condenses:
-                near, cloud = _by_passes(scan, coordinates, first, prior)
-                end = without_bias(coordinates, label, [cloud], near, prior)
-                return end if end.mixture is None else likelier(end, scan)
-        end, weights = _polished_on(
-            scan, coordinates, model, np.arange(len(scan.points)), _ROUNDS, _TOLERANCE, prior
-        )
-        cloud = ObservedCloud.of(scan.points, weights, scan.noise, scan.order)
+            model = near.model
+        if near is not None and self._condenses:
+            end, cloud = _by_passes(scan, coordinates, near, prior)
+        else:
+            every = np.arange(len(scan.points))
+            end, weights = _polished_on(scan, coordinates, model, every, _ROUNDS, _TOLERANCE, prior)
+            cloud = ObservedCloud.of(scan.points, weights, scan.noise, scan.order)
         end = without_bias(coordinates, label, [cloud], end, prior)
         return end if end.mixture is None else likelier(end, scan)
 

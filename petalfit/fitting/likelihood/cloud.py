@@ -16,6 +16,7 @@ from petalfit.fitting.likelihood.foot_points import (
     guess_foot_points,
     nearer_foot_points,
     signed_distance,
+    whole_distance,
 )
 from petalfit.fitting.likelihood.mixture import Mixture
 from petalfit.fitting.likelihood.observed import (
@@ -121,15 +122,12 @@ class ObservedCloud(AbstractObserved):
     ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
         """How far points are from the surface and beyond its edge, negative inside; of padding too.
 
-        Some points far from a surface have no foot point that a search can settle on. The way along the
-        surface, from the place that was reached to below the point, counts as well: such a point would
-        else seem to lie in the surface where it only lies in the tangent plane of that place.
+        See `whole_distance`.
         """
         here, points = programs.frames(model, term.uv), self.data.points
         distance, beyond = np.asarray(here.distance(points)), np.asarray(here.beyond(points))
-        whole = np.sum((np.asarray(points) - np.asarray(here.position)) ** 2, axis=-1)
-        over = np.sum(np.maximum(beyond, 0.0) ** 2, axis=-1)
-        return np.sqrt(np.maximum(whole - over, distance**2)), np.max(beyond, axis=-1)
+        off = np.asarray(points) - np.asarray(here.position)
+        return whole_distance(off, distance, beyond), np.max(beyond, axis=-1)
 
     def information(
         self, coordinates: Coordinates, t: np.ndarray, term: AbstractTerm

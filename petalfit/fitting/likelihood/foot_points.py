@@ -98,6 +98,26 @@ def signed_distance(
     return np.copysign(np.hypot(distance, np.maximum(beyond, 0.0)), distance)
 
 
+def whole_distance(
+    off: Float[Array | np.ndarray, "n 3"],
+    distance: Float[Array | np.ndarray, " n"],
+    beyond: Float[Array | np.ndarray, "n 2"],
+) -> Float[np.ndarray, " n"]:
+    """How far points are from the surface, without the part beyond its edges.
+
+    Some points far from a surface have no foot point that a search can settle on. The way along the
+    surface, from the place that was reached to below the point, counts as well: such a point would
+    else seem to lie in the surface where it only lies in the tangent plane of that place.
+
+    Args:
+        off: The points relative to the places that were reached.
+        distance: Normal distances from these places.
+        beyond: Distances beyond the edges of u and of v, negative inside.
+    """
+    over = np.sum(np.maximum(beyond, 0.0) ** 2, axis=-1)
+    return np.sqrt(np.maximum(np.sum(np.square(off), axis=-1) - over, np.square(distance)))
+
+
 def distances_beside(
     surface: AbstractSurface, points: Float[np.ndarray, "n 3"]
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, "n 2"]]:

@@ -19,6 +19,7 @@ from petalfit.compilation import Program, blocks, pad_to
 from petalfit.compilation.stopwatch import unwatched
 from petalfit.fitting.coordinates import Numbers
 from petalfit.fitting.likelihood import programs
+from petalfit.fitting.likelihood.foot_points import whole_distance
 from petalfit.surfaces import AbstractSurface
 
 _NODES = (257, 193)  # of the grid on which foot points are looked up
@@ -171,8 +172,7 @@ def beside_many(
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, "n 2"]]:
     """Signed distances of many points, distances beyond the edge, and foot points inside it.
 
-    Where a point is too far away for the quadrics, the way along the surface counts in its distance: it
-    would else seem to lie in the surface where it lies in the tangent plane of another place.
+    Some points may be too far away for the quadrics, so these distances are those of `whole_distance`.
     """
     relief, size = Relief.of(surface), len(points)
     distance, beyond, uv = np.empty(size), np.empty(size), np.empty((size, 2))
@@ -180,8 +180,7 @@ def beside_many(
     def fill(parts: Sequence[slice]) -> None:
         for part in parts:
             near = relief.located(points[part])
-            off, over = points[part] - near.place, np.maximum(near.beyond, 0.0)
-            whole = np.sqrt(np.maximum(dot(off, off) - dot(over, over), near.distance**2))
+            whole = whole_distance(points[part] - near.place, near.distance, near.beyond)
             distance[part], uv[part] = np.copysign(whole, near.distance), near.uv
             beyond[part] = np.max(near.beyond, axis=1)
 
@@ -255,6 +254,6 @@ def _tangents(patch: Numbers, move: Numbers) -> tuple[Any, Any]:
     return by_u + du * by_uu + dv * by_uv, by_v + du * by_uv + dv * by_vv
 
 
-def dot(a: Float[np.ndarray, "n k"], b: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " n"]:
+def dot(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
     """The scalar product of each row of a with that of b."""
     return np.einsum("ni,ni->n", a, b)
