@@ -7,7 +7,6 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Sized
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, overload
 
-import jax
 import numpy as np
 
 from petalfit.batch.failure import FitFailure
@@ -46,8 +45,8 @@ def fit_batch(  # pyright: ignore[reportInconsistentOverload]
     """Fit many targets, each by itself, on all cores of this machine.
 
     Processes are started when they are needed and are kept for the next batch. They share compiled
-    programs, in the store in use or in the user's cache. If jax has a GPU, the targets are fitted there,
-    one after the other.
+    programs, in the store in use or in the user's cache. They compute on the processor even where jax
+    has a GPU, to which a petal is too small: 16 cores fit a batch 7 times faster than an H200.
 
     Args:
         targets: The targets, each as in `fit`: a cloud, mesh, mask or path, or a list of these that
@@ -103,7 +102,7 @@ def _outcomes(
     count = workers or cores()
     if total is not None:
         count = min(count, max(total, 1))
-    if count == 1 or jax.default_backend() != "cpu":
+    if count == 1:
         outcomes = map(_fit_one, (_Job(target, options, None) for target in targets))
     else:
         folder = folder_in_common()

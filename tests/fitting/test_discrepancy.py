@@ -68,6 +68,27 @@ def test_noise_alone_has_no_discrepancy():
     assert sum(discrepancy_of(rows) is not None for rows in every) <= 2
 
 
+def test_rounding_chooses_no_directions():
+    _, rows = linear_rows(0.1, True, 0)
+    # The effect of a length that is also a scale's, and that of an edge, which distances do not know.
+    twice, nothing = rows.slopes.sum(axis=1, keepdims=True), np.zeros((len(rows.slopes), 3))
+    slopes = np.hstack([rows.slopes, twice, nothing])
+    edge = np.hstack([0 * rows.slopes, 0 * twice, nothing + 1 + rows.place])
+    information = (slopes.T @ slopes + edge.T @ edge) / rows.sigma**2
+    every = []
+    for seed in range(3):
+        rounding = 1 + 1e-13 * np.random.default_rng(seed).normal(size=slopes.shape)
+        tiny = 1e-13 * np.random.default_rng(seed).normal(size=slopes.shape)
+        found = discrepancy_of(
+            rows._replace(slopes=slopes * rounding + tiny, edge=edge, information=information)
+        )
+        assert found is not None
+        every.append(found[1])
+    first, *others = every
+    scale = np.sqrt(np.outer(np.diag(first), np.diag(first)))
+    assert all(np.abs((other - first) / scale).max() < 1e-8 for other in others)
+
+
 def test_the_temperature_is_bounded_and_one_without_misfit():
     _, rows = linear_rows(0.1, True, 0)
     found = discrepancy_of(rows)

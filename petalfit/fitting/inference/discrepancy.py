@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.linalg import eigh, qr
+from scipy.linalg import eigh
 from scipy.spatial.distance import cdist
 
 from petalfit.results.discrepancy import Discrepancy
@@ -22,6 +22,10 @@ _FEWEST = 4  # least number of cells for every parameter
 _CLEAR = 9.0
 _SUSPECT = 1.0  # standard deviations of the squares of cell means, from which a field is looked for
 INDEPENDENT = 100.0  # independent points that a cloud with a discrepancy counts as, at least
+_ABSORBED = 1e-6  # least effect of a direction of the parameters, relative to the greatest
+_UNTOLD = (
+    1e-6  # root of the information on a parameter, relative to the greatest: less may be rounding
+)
 _EXACT = 1e-7  # noise, relative to the extent, below which only rounding is left
 
 
@@ -87,11 +91,13 @@ def discrepancy_of(
     extent = float(np.linalg.norm(np.ptp(means.place, axis=0)))
     if rows.sigma < _EXACT * extent:
         return None
-    # What the parameters cannot absorb: the complement of the columns of the slopes.
-    scaled = root[:, None] * means.slopes
-    used = np.linalg.norm(scaled, axis=0) > 0
-    whole = np.asarray(qr(scaled[:, used])[0])
-    rest = whole[:, np.count_nonzero(used) :]
+    # What the parameters cannot absorb: the complement of what their slopes span. What is left of slopes
+    # that vanish, those of edges, and of directions in which parameters say the same, as a pose's scale
+    # and all lengths do, is rounding, which must not choose directions.
+    told = np.sqrt(np.diag(rows.information))
+    told = np.maximum(told, _UNTOLD * np.max(told))
+    whole, sizes, _ = np.linalg.svd(root[:, None] * means.slopes / told)
+    rest = whole[:, np.count_nonzero(sizes > _ABSORBED * sizes[0]) :]
     left = rest.T @ (root * means.distance)
     apart = cdist(means.place, means.place)
     alone = _none(left, means)
