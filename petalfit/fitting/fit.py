@@ -20,6 +20,7 @@ from petalfit.fitting.colours.fit import ColourFit, fit_colours
 from petalfit.fitting.colours.texture import colours_on
 from petalfit.fitting.error import FitError
 from petalfit.fitting.families.registry import DEFAULT, families, family_of, petals
+from petalfit.fitting.outliers.loss import AbstractLoss
 from petalfit.fitting.outliers.registry import loss_named
 from petalfit.fitting.request import checks
 from petalfit.fitting.request.configuration import Fittable, configuration
@@ -33,6 +34,7 @@ from petalfit.observations import (
     IMAGE_SUFFIXES,
     AbstractObservation,
     Camera,
+    PointCloud,
     TargetError,
     Texture,
     as_point_cloud,
@@ -122,7 +124,8 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
             shape (N,) has one σ for each point of a single cloud. For silhouettes σ is always estimated.
         loss: "linear": least squares, right for noise without gross outliers. "robust": points may
             be outliers or clutter. Each point then counts by the probability that it belongs to the
-            surface, which is in the result's weights.
+            surface, which is in the result's weights. Where the pose of a petal is sought, a table
+            under it and its stalk are left out.
         seed: The seed of random choices; the result hardly depends on it.
         base: Which end of a blade is its base, if its pose is fitted: a point near it, in the cloud's
             frame, or "other", the end that the fit would take for the tip. Without it, the end for which
@@ -183,6 +186,8 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
             unused = {"surface": surface is not None, "palette": palette is not None}
             checks.refuse("a component", [name for name, given in unused.items() if given])
             targets, sigma = with_noise_of_points(as_targets(target, camera), sigma)
+            if pose != "known" and init is None and _is_petal(model):
+                targets = _petal_alone(targets, loss_named(loss))
             asked = {
                 "pose": pose,
                 "loss": loss_named(loss),
@@ -294,6 +299,22 @@ def _fit_component(
     fitted, ends = run(family, request)
     with stage("errors"), jax.enable_x64(True):
         return summarise(family, fitted, ends)
+
+
+def _is_petal(model: object) -> bool:
+    """Whether a component is of one of the families of petals, or "auto", their best."""
+    return isinstance(model, str) or family_of(model) in petals()  # pyright: ignore[reportArgumentType]
+
+
+def _petal_alone(
+    targets: list[AbstractObservation], loss: AbstractLoss
+) -> list[AbstractObservation]:
+    """The targets; of a single cloud, other sheets than the petal do not count."""
+    (first, *others) = targets
+    if others or not isinstance(first, PointCloud):
+        return targets
+    report("telling the petal from other sheets")
+    return [loss.petal_alone(first)]
 
 
 def _fit_best(targets: list[AbstractObservation], asked: dict[str, Any]) -> FitResult:

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from petalfit.fitting.likelihood.mixture import Mixture
+from petalfit.observations import PointCloud
 from petalfit.surfaces import AbstractSurface
 
 
@@ -57,6 +58,10 @@ class AbstractLoss(abc.ABC):
     def likely(self, points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
         """Whether each point seems to belong to a surface, judged before there is any model."""
         return np.ones(len(points), bool)
+
+    def petal_alone(self, cloud: PointCloud) -> PointCloud:
+        """The cloud of a petal in an unknown place, with weight 0 for points of other sheets."""
+        return cloud
 
     @abc.abstractmethod
     def log_likelihood(

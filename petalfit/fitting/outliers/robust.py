@@ -13,6 +13,8 @@ from petalfit.fitting.likelihood.quadrature import Quadrature
 from petalfit.fitting.likelihood.scales import spread_of
 from petalfit.fitting.outliers.local_planes import on_sheets
 from petalfit.fitting.outliers.loss import AbstractBackground, AbstractLoss
+from petalfit.fitting.outliers.other_sheets import on_other_sheets
+from petalfit.observations import PointCloud
 from petalfit.surfaces import AbstractSurface
 
 
@@ -56,6 +58,19 @@ class Robust(AbstractLoss):
 
     def likely(self, points: np.ndarray) -> np.ndarray:
         return on_sheets(points)
+
+    def petal_alone(self, cloud: PointCloud) -> PointCloud:
+        used = np.flatnonzero(cloud.mass > 0)
+        points = cloud.points[used]
+        other = on_other_sheets(points)
+        if not other.any():
+            return cloud
+        kept = np.ones(len(cloud))
+        kept[used[other]] = 0.0
+        return cloud.weighted(kept).noting(
+            f"{np.count_nonzero(other):,} of {len(cloud):,} points lie on a flat table or a round stalk "
+            "beside the petal and are left out; if they are meant, crop the cloud to them"
+        )
 
     def log_likelihood(
         self,
