@@ -186,8 +186,6 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
             unused = {"surface": surface is not None, "palette": palette is not None}
             checks.refuse("a component", [name for name, given in unused.items() if given])
             targets, sigma = with_noise_of_points(as_targets(target, camera), sigma)
-            if pose != "known" and init is None and _is_petal(model):
-                targets = _petal_alone(targets, loss_named(loss))
             asked = {
                 "pose": pose,
                 "loss": loss_named(loss),
@@ -195,6 +193,8 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
                 "seed": seed,
                 "every_point": every_point,
             }
+            if pose != "known" and init is None:
+                targets = _petal_alone(model, targets, asked["loss"])
             alone = {"base": base is not None, "every_point": every_point}
             for name, given in alone.items():
                 if given and (len(targets) > 1 or targets[0].kind != "cloud"):
@@ -301,19 +301,14 @@ def _fit_component(
         return summarise(family, fitted, ends)
 
 
-def _is_petal(model: object) -> bool:
-    """Whether a component is of one of the families of petals, or "auto", their best."""
-    return isinstance(model, str) or family_of(model) in petals()  # pyright: ignore[reportArgumentType]
-
-
 def _petal_alone(
-    targets: list[AbstractObservation], loss: AbstractLoss
+    model: Any, targets: list[AbstractObservation], loss: AbstractLoss
 ) -> list[AbstractObservation]:
-    """The targets; of a single cloud, other sheets than the petal do not count."""
-    (first, *others) = targets
-    if others or not isinstance(first, PointCloud):
+    """The targets; of a single cloud of a petal, other sheets than the petal do not count."""
+    first, *others = targets
+    is_petal = isinstance(model, str) or family_of(model).is_petal
+    if others or not is_petal or not isinstance(first, PointCloud):
         return targets
-    report("telling the petal from other sheets")
     return [loss.petal_alone(first)]
 
 

@@ -23,9 +23,8 @@ _CLEAR = 9.0
 _SUSPECT = 1.0  # standard deviations of the squares of cell means, from which a field is looked for
 INDEPENDENT = 100.0  # independent points that a cloud with a discrepancy counts as, at least
 _ABSORBED = 1e-6  # least effect of a direction of the parameters, relative to the greatest
-_UNTOLD = (
-    1e-6  # root of the information on a parameter, relative to the greatest: less may be rounding
-)
+# Root of the information on a parameter, relative to the greatest. What is less may be rounding.
+_UNTOLD = 1e-6
 _EXACT = 1e-7  # noise, relative to the extent, below which only rounding is left
 
 
@@ -95,7 +94,7 @@ def discrepancy_of(
     # that vanish, those of edges, and of directions in which parameters say the same, as a pose's scale
     # and all lengths do, is rounding, which must not choose directions.
     told = np.sqrt(np.diag(rows.information))
-    told = np.maximum(told, _UNTOLD * np.max(told))
+    told = np.maximum(told, _UNTOLD * np.max(told) + 1e-300)
     whole, sizes, _ = np.linalg.svd(root[:, None] * means.slopes / told)
     rest = whole[:, np.count_nonzero(sizes > _ABSORBED * sizes[0]) :]
     left = rest.T @ (root * means.distance)

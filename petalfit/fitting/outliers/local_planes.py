@@ -110,7 +110,7 @@ def _planes_in_balls(
         ratio = _ratio(np.einsum("nki,ni->nk", ball, normal), share, level, thick)
         members = ratio / (1 + ratio)
         share = np.clip(members.mean(axis=1), 0.05, 0.95)
-        middle, normal, deviation = _nearest_plane(ball, members)
+        middle, normal, deviation = nearest_plane(ball, members)
         level = np.einsum("ni,ni->n", middle, normal)
         thick = np.clip(deviation, _THINNEST, _THICKEST)
     ratio = _ratio(np.einsum("nki,ni->nk", ball, normal), share, level, thick)
@@ -188,14 +188,14 @@ def _local_planes(
     weights = np.ones(around.shape[:2])
     middle = normal = np.zeros_like(points)
     for _ in range(4):
-        middle, normal, _ = _nearest_plane(around, weights)
+        middle, normal, _ = nearest_plane(around, weights)
         off = np.einsum("nki,ni->nk", around - middle[:, None], normal)
         scale = 2 * np.median(np.abs(off), axis=1, keepdims=True) + 1e-300
         weights = geman_mcclure(off, scale)
     return gaps[:, _NEIGHBOUR], np.einsum("ni,ni->n", points - middle, normal)
 
 
-def _nearest_plane(
+def nearest_plane(
     points: Float[np.ndarray, "n k 3"], weights: Float[np.ndarray, "n k"]
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
     """Middles and normals of the planes nearest to groups of points, and root mean square distances."""

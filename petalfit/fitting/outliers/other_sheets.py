@@ -13,10 +13,10 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import Delaunay, KDTree
 
 from petalfit.fitting.likelihood.scales import spacing
-from petalfit.fitting.outliers.local_planes import on_sheets
+from petalfit.fitting.outliers.local_planes import nearest_plane, on_sheets
 from petalfit.fitting.segmentation import FEWEST, Segments, segments_of
 
-_SEEN = 6000  # points that segments are found among
+_MOST = 6000  # points that segments are found among; of more, each goes with the nearest of these
 _FLAT = 2.0  # root mean square height of a plane, in standard deviations of the noise
 # Least number of a table's points, by that of all others. Flat parts of a petal have fewer.
 _TABLE = 0.4
@@ -57,12 +57,15 @@ def _others(points: Float[np.ndarray, "n 3"], thin: bool) -> Bool[np.ndarray, " 
         thin: Whether a stalk may be so thin that its points do not seem to lie on a sheet. Clutter could
             be threaded to such stalks, so another sheet must have been found before.
     """
+    if len(points) > _MOST:
+        some = points[np.random.default_rng(0).permutation(len(points))[:_MOST]]
+        nearest = np.asarray(KDTree(some).query(points, workers=-1)[1])
+        return _others(some, thin)[nearest]
     found, likely = np.zeros(len(points), bool), on_sheets(points)
-    sheets = np.flatnonzero(likely)
-    some = np.random.default_rng(0).permutation(sheets)[:_SEEN]
-    if len(some) < FEWEST:
+    if np.count_nonzero(likely) < FEWEST:
         return found
-    seen, segments = points[some], segments_of(points[some])
+    seen = points[likely]
+    segments = segments_of(seen)
     if not segments.count:
         return found
     tree = KDTree(seen)
@@ -79,10 +82,12 @@ def _others(points: Float[np.ndarray, "n 3"], thin: bool) -> Bool[np.ndarray, " 
     petal = seen[sheet == np.argmax(sizes)]
     # A petal of many segments, between its creases and ribs, cannot be told from its stalk.
     if len(petal) > _MAIN * np.count_nonzero(~tables):
-        rest = np.concatenate([some[small], np.flatnonzero(~likely & ~found & thin)])
+        rest = np.concatenate(
+            [np.flatnonzero(likely)[small], np.flatnonzero(~likely & ~found & thin)]
+        )
         found[rest] = _are_stalks(points[rest], petal, near)
     # Where the petal touches them, the fit will tell.
-    left = seen[~tables & ~found[some]]
+    left = seen[~tables & ~found[likely]]
     found[found] = np.asarray(KDTree(left).query(points[found])[0]) > near / 2
     return found
 
@@ -106,9 +111,8 @@ def _plane(
     points: Float[np.ndarray, "n 3"],
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"], float]:
     """The middle of points, the normal of the plane nearest to them, and their rms distance from it."""
-    middle = points.mean(axis=0)
-    squares, axes = np.linalg.eigh((points - middle).T @ (points - middle) / len(points))
-    return middle, axes[:, 0], float(np.sqrt(max(squares[0], 0.0)))
+    (middle,), (normal,), (height,) = nearest_plane(points[None], np.ones((1, len(points))))
+    return middle, normal, float(height)
 
 
 def _are_stalks(
@@ -141,15 +145,14 @@ def _are_stalks(
 
 def _roundness(points: Float[np.ndarray, "n 3"]) -> float:
     """How much the normals of points point in a second direction too: ½ on a tube, 0 on a plane."""
-    near = np.asarray(KDTree(points).query(points, min(_AROUND, len(points)))[1])
-    around = points[near] - points[near].mean(axis=1, keepdims=True)
-    normals = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))[1][:, :, 0]
+    near = np.asarray(KDTree(points).query(points, _AROUND)[1])
+    _, normals, _ = nearest_plane(points[near], np.ones(near.shape))
     return float(np.linalg.eigvalsh(normals.T @ normals / len(points))[1])
 
 
 def _share_over(table: Float[np.ndarray, "m 3"], points: Float[np.ndarray, "n 3"]) -> float:
     """The share of points that lie over a plane piece of a surface, as those of an object on a table."""
-    middle = table.mean(axis=0)
-    _, axes = np.linalg.eigh((table - middle).T @ (table - middle))
-    flat = Delaunay((table - middle) @ axes[:, 1:])
-    return float(np.mean(flat.find_simplex((points - middle) @ axes[:, 1:]) >= 0))
+    middle, normal, _ = _plane(table)
+    across = np.linalg.svd(normal[None])[2][1:].T  # two directions in the plane
+    flat = Delaunay((table - middle) @ across)
+    return float(np.mean(flat.find_simplex((points - middle) @ across) >= 0))

@@ -14,6 +14,7 @@ from petalfit.fitting.likelihood.scales import spread_of
 from petalfit.fitting.outliers.local_planes import on_sheets
 from petalfit.fitting.outliers.loss import AbstractBackground, AbstractLoss
 from petalfit.fitting.outliers.other_sheets import on_other_sheets
+from petalfit.fitting.solver.observer import report
 from petalfit.observations import PointCloud
 from petalfit.surfaces import AbstractSurface
 
@@ -60,9 +61,9 @@ class Robust(AbstractLoss):
         return on_sheets(points)
 
     def petal_alone(self, cloud: PointCloud) -> PointCloud:
+        report("telling the petal from a table and a stalk")
         used = np.flatnonzero(cloud.mass > 0)
-        points = cloud.points[used]
-        other = on_other_sheets(points)
+        other = on_other_sheets(cloud.points[used])
         if not other.any():
             return cloud
         kept = np.ones(len(cloud))
