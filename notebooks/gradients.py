@@ -31,14 +31,8 @@ jax.config.update("jax_enable_x64", True)
 coordinates = Coordinates.of(truth, free)
 start = jnp.asarray(coordinates.inverse(coordinates.template))
 x = jnp.asarray(points)
-
-
-def foot_points(model, x):
-    """Where the points lie on the surface, (u, v) each."""
-    return refine_foot_points(model, x, nearest_nodes(model, x), 6)
-
-
-uv = Program(foot_points)(coordinates.template, x)
+nodes = nearest_nodes(coordinates.template, points)
+uv = jnp.asarray(refine_foot_points(coordinates.template, points, nodes, 6))
 
 
 def fitted(points):

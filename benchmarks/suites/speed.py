@@ -81,17 +81,16 @@ def _bare(petal: pf.PeonyPetal, points: np.ndarray) -> float:
     """Seconds of one evaluation that any solver needs: foot points, distances, Jacobian."""
     from petalfit.compilation import Program
     from petalfit.fitting.coordinates import in_doubles
-    from petalfit.fitting.likelihood import programs
-    from petalfit.residuals import frame, pull_back, slide_foot_points
+    from petalfit.residuals import frame, nearest_nodes, newton, pull_back, refine_foot_points
 
     def evaluate(petal: pf.PeonyPetal, points: jax.Array, uv: jax.Array) -> tuple:
-        uv = slide_foot_points(petal, points, uv, 2)
+        uv, _, _ = newton(petal, points, uv, 2)
         here = frame(petal, uv)
         return here.distance(points), pull_back(petal, uv, -here.normal)
 
     with jax.enable_x64(True):
         model = in_doubles(petal)
-        uv = programs.refine(model, points, programs.nearest(model, points), 6)
+        uv = refine_foot_points(model, points, nearest_nodes(model, points), 6)
         program = Program(evaluate)
         return timed(lambda: jax.block_until_ready(program(model, points, uv)), 20)[0]
 

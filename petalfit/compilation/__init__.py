@@ -4,7 +4,6 @@ from petalfit.compilation.buckets import BLOCK as BLOCK
 from petalfit.compilation.buckets import blocks as blocks
 from petalfit.compilation.buckets import bucket as bucket
 from petalfit.compilation.buckets import pad_to as pad_to
-from petalfit.compilation.buckets import split_into as split_into
 from petalfit.compilation.program import Program as Program
 from petalfit.compilation.program import RowProgram as RowProgram
 from petalfit.compilation.program import prepared as prepared

@@ -28,12 +28,6 @@ class Stopwatch:
             self._stop()
             self._stages.pop()
 
-    def move(self, seconds: float, name: str) -> None:
-        """Moves seconds that the current stage has just taken to the stage `name`."""
-        self._stop()
-        self.seconds[self._stages[-1]] -= seconds
-        self.seconds[name] += seconds
-
     def _stop(self) -> None:
         now = time.perf_counter()
         if self._stages:
@@ -75,10 +69,3 @@ def stage(name: str) -> Iterator[None]:
         return
     with watch.stage(name):
         yield
-
-
-def moved(seconds: float, name: str) -> None:
-    """Moves seconds of the current stage to the stage `name`, if a stopwatch is running."""
-    watch = _current.get()
-    if watch is not None:
-        watch.move(seconds, name)

@@ -8,7 +8,7 @@ import hashlib
 import os
 import pickle
 import platform
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from importlib.metadata import version
 from pathlib import Path
@@ -42,7 +42,7 @@ _NOT_KEPT = (
 
 
 class ExecutableStore:
-    """Compiled programs in memory and in a folder.
+    """Compiled programs in memory and, unless it is None, in a folder.
 
     The name of a file is a digest of all that a program depends on: petalfit's source, the versions of
     the packages that trace and compile it, and the structure, shapes and types of the arguments. A
@@ -52,25 +52,29 @@ class ExecutableStore:
     have access to the folder. A folder that cannot be used only costs time.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path | None) -> None:
         self.folder = folder
         self._loaded: dict[Hashable, Callable] = {}
 
-    def call(self, function: Callable, args: tuple) -> Any:
-        """The result of a function, by the program that is compiled for arguments of this form."""
-        leaves, structure = jax.tree.flatten(args)
+    def program(self, function: Callable, structure: Any, leaves: Sequence) -> Callable:
+        """The program of a function for arguments of a structure, with such leaves.
+
+        It takes the leaves, and returns the function's result.
+        """
         forms = tuple(map(_form, leaves))
         # Objects suffice as keys within a process; the name of a file takes a hundred times as long.
         like = function, structure, forms, is_double()
         if like not in self._loaded:
             with stage("compiling"):
-                known = _is_known(function, structure)
+                known = self.folder is not None and _is_known(function, structure)
                 key = _key(function, structure, forms) if known else None
                 kept = None if key is None else self._load(key)
-                self._loaded[like] = kept or self._compile(key, function, args)
-        return self._loaded[like](*leaves)
+                found = kept or self._compile(key, function, structure, leaves)
+                self._loaded[like] = _with_packed(forms, found)
+        return self._loaded[like]
 
     def _load(self, key: str) -> Callable | None:
+        assert self.folder is not None
         with suppress(*_NOT_KEPT):
             content = (self.folder / key).read_bytes()
             if hashlib.sha256(content[_DIGEST:]).digest() == content[:_DIGEST]:
@@ -80,20 +84,24 @@ class ExecutableStore:
                 return _structured(compiled, jax.tree.structure(example))
         return None
 
-    def _compile(self, key: str | None, function: Callable, args: tuple) -> Callable:
+    def _compile(
+        self, key: str | None, function: Callable, structure: Any, leaves: Sequence
+    ) -> Callable:
         """Compiles a program, and saves it under its key if it has one."""
-        leaves, structure = jax.tree.flatten(args)
         results = []
+        scalars, others = _packed(tuple(map(_form, leaves)), leaves)
 
         # The program maps leaves to leaves: a model can be pickled, but the structure of one cannot.
-        def flat(*leaves: object) -> list:
-            result = function(*jax.tree.unflatten(structure, leaves))
+        def flat(scalars: jax.Array, *others: object) -> list:
+            first, rest = iter(scalars), iter(others)
+            every = [next(first if _form(leaf) == _SCALAR else rest) for leaf in leaves]
+            result = function(*jax.tree.unflatten(structure, every))
             results.append(jax.tree.structure(result))
             return jax.tree.leaves(result)
 
-        compiled = jax.jit(flat, compiler_options=options()).lower(*leaves).compile()
+        compiled = jax.jit(flat, compiler_options=options()).lower(scalars, *others).compile()
         (result,) = results
-        if key is None:
+        if key is None or self.folder is None:
             return _structured(compiled, result)
         # A program from jax's own cache cannot always be serialised, and need not be.
         with suppress(*_NOT_KEPT):
@@ -102,6 +110,24 @@ class ExecutableStore:
             with atomic_path(self.folder / key) as path:
                 path.write_bytes(hashlib.sha256(content).digest() + content)
         return _structured(compiled, result)
+
+
+def _packed(forms: tuple, leaves: Sequence) -> tuple[np.ndarray, list]:
+    """The leaves that are doubles, in one array, because each argument takes time; and the others."""
+    scalars = [leaf for form, leaf in zip(forms, leaves, strict=True) if form == _SCALAR]
+    others = [leaf for form, leaf in zip(forms, leaves, strict=True) if form != _SCALAR]
+    return np.array(scalars, np.float64), others
+
+
+def _with_packed(forms: tuple, program: Callable) -> Callable:
+    """A program that takes leaves, made of one that takes them packed."""
+    first = [k for k, form in enumerate(forms) if form == _SCALAR]
+    rest = [k for k, form in enumerate(forms) if form != _SCALAR]
+
+    def call(*leaves: Any) -> Any:
+        return program(np.array([leaves[k] for k in first], float), *[leaves[k] for k in rest])
+
+    return call
 
 
 def _structured(compiled: Callable[..., list], structure: Any) -> Callable:
@@ -125,18 +151,21 @@ def options() -> dict[str, bool]:
     return known
 
 
-_current: contextvars.ContextVar[ExecutableStore | None] = contextvars.ContextVar(
-    "store", default=None
+_SCALAR = (), "<f8", False  # the form of a double
+_IN_MEMORY = ExecutableStore(None)
+_current: contextvars.ContextVar[ExecutableStore] = contextvars.ContextVar(
+    "store",
+    default=_IN_MEMORY,
 )
 
 
-def current_store() -> ExecutableStore | None:
-    """The store in use, or None."""
+def current_store() -> ExecutableStore:
+    """The store in use; one without a folder if no other one is."""
     return _current.get()
 
 
 @contextmanager
-def use_store(store: ExecutableStore | None) -> Iterator[None]:
+def use_store(store: ExecutableStore) -> Iterator[None]:
     """Makes a block of code load programs from `store` and save them there."""
     token = _current.set(store)
     try:
@@ -187,6 +216,8 @@ def is_double() -> bool:
 
 
 def _form(leaf: Any) -> tuple[object, ...]:
+    if type(leaf) is np.ndarray:
+        return leaf.shape, leaf.dtype.str, False
     weak = type(leaf) in (bool, int, float) or getattr(leaf, "weak_type", False)
     kind = leaf.dtype if isinstance(leaf, jax.Array | np.ndarray) else np.asarray(leaf).dtype
     return np.shape(leaf), kind.str, weak

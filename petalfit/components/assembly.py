@@ -53,7 +53,7 @@ class AbstractAssembly(AbstractSurface):
         """One part as a surface in the frame of the whole; parts are numbered from 0."""
         return PartOf(self, number)
 
-    def in_atlas(self, number: int, uv: Float[Array | np.ndarray, "n 2"]) -> Float[Array, "n 2"]:
+    def in_atlas(self, number: int, uv: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
         """Converts places (u, v) of a part's own domain to places of the atlas."""
         _, surface = [*self.parts().values()][number]
         low, high = np.array(surface.domain).T
@@ -61,7 +61,7 @@ class AbstractAssembly(AbstractSurface):
         along = fraction[:, 1]
         if not surface.edges[1]:
             along = along % 1.0
-        return jnp.stack([fraction[:, 0], number + 0.25 + 0.5 * along], axis=-1)
+        return np.stack([fraction[:, 0], number + 0.25 + 0.5 * along], axis=-1)
 
     def mesh(self, resolution: tuple[int, int] = (65, 65)) -> trimesh.Trimesh:
         """One triangle mesh of all parts."""

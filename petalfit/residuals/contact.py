@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from petalfit.surfaces import AbstractSurface, position_and_tangents
 
+Numbers: TypeAlias = Array | np.ndarray
+
 
 class Frame(NamedTuple):
     """The frames of a surface at given (u, v): positions, unit normals, and the nearer edges.
+
+    Inside compiled programs these are arrays of jax, outside of them arrays of NumPy.
 
     Attributes:
         position: The points S, shape (n, 3).
@@ -25,18 +30,18 @@ class Frame(NamedTuple):
         area_element: |∂S/∂u × ∂S/∂v|, shape (n,).
     """
 
-    position: Float[Array, "n 3"]
-    normal: Float[Array, "n 3"]
-    conormals: Float[Array, "n 2 3"]
-    left: Float[Array, "n 2"]
-    speed: Float[Array, "n 2"]
-    area_element: Float[Array, " n"]
+    position: Float[Any, "n 3"]
+    normal: Float[Any, "n 3"]
+    conormals: Float[Any, "n 2 3"]
+    left: Float[Any, "n 2"]
+    speed: Float[Any, "n 2"]
+    area_element: Float[Any, " n"]
 
-    def distance(self, points: Float[Array, "n 3"]) -> Float[Array, " n"]:
+    def distance(self, points: Float[Any, "n 3"]) -> Float[Any, " n"]:
         """The signed distance of every point from the tangent plane, positive on the normal's side."""
         return _dot(self.normal, points - self.position)
 
-    def beyond(self, points: Float[Array, "n 3"]) -> Float[Array, "n 2"]:
+    def beyond(self, points: Float[Any, "n 3"]) -> Float[Any, "n 2"]:
         """The distances of every point beyond the nearer u edge and v edge, negative inside."""
         return _dot(self.conormals, (points - self.position)[:, None]) - self.left
 
@@ -45,7 +50,7 @@ _NO_EDGE = 1e30  # the distance to an edge that does not exist
 
 
 def frame(surface: AbstractSurface, uv: Float[Array, "n 2"]) -> Frame:
-    """The frames of a surface at foot points `uv` (see `refine_foot_points`)."""
+    """The frames of a surface at foot points `uv` (see `residuals.refine`)."""
     position, tangents = position_and_tangents(surface, uv[:, 0], uv[:, 1])
     side = jnp.moveaxis(tangents, 0, 1)
     along = side[:, ::-1]
@@ -83,8 +88,8 @@ def pull_back(
     return jax.vmap(jax.grad(projected), (None, 0, 0))(surface, uv, covectors)
 
 
-def _dot(a: Array, b: Array) -> Array:
-    return jnp.sum(a * b, axis=-1)
+def _dot(a: Any, b: Any) -> Any:
+    return (a * b).sum(axis=-1)  # an array of jax, or of NumPy
 
 
 def _ratio(a: Array | float, b: Array) -> Array:

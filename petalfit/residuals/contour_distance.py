@@ -9,13 +9,16 @@ functions of S, for orthographic and perspective cameras alike.
 
 from __future__ import annotations
 
-import jax.numpy as jnp
-from jaxtyping import Array, Float
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float, Int
 
 from petalfit.residuals.term import AbstractFrozen, AbstractTerm
 from petalfit.surfaces import AbstractSurface
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
 class ContourDistance(AbstractTerm, AbstractFrozen):
     """The distances of matched places of one or several views.
 
@@ -26,35 +29,39 @@ class ContourDistance(AbstractTerm, AbstractFrozen):
         plane: The coefficients q, shape (n, 4); q·(S, 1) is the distance times the depth.
         depth: The coefficients z, shape (n, 4); z·(S, 1) is the depth, which is 1 for an orthographic
             camera.
-        root: The square root of the weight over the noise, in 1/pixel, shape (n,); 0 for padding.
+        root: The square root of the weight over the noise, in 1/pixel, shape (n,).
         sigma: Always 1, because `root` contains the noise of each view.
     """
 
-    uv: Float[Array, "n 2"]
-    plane: Float[Array, "n 4"]
-    depth: Float[Array, "n 4"]
-    root: Float[Array, " n"]
-    sigma: Float[Array, ""]
+    uv: Float[np.ndarray, "n 2"]
+    plane: Float[np.ndarray, "n 4"]
+    depth: Float[np.ndarray, "n 4"]
+    root: Float[np.ndarray, " n"]
+    sigma: float
 
     def freeze(
         self, surface: AbstractSurface, free: int
     ) -> tuple[ContourDistance, ContourDistance, None]:
         return self, self, None
 
-    def pixels(self, surface: AbstractSurface) -> Float[Array, " n"]:
-        """The signed distances in pixels, positive where the outline lies outside the contour."""
-        seen, depth = self._seen(surface)
-        return seen / depth
+    def residual(self, position: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+        seen, depth = self._seen(position)
+        return self.root * seen / depth
 
-    def residual(self, surface: AbstractSurface) -> Float[Array, " n"]:
-        return self.root * self.pixels(surface)
+    def slopes(
+        self, position: Float[np.ndarray, "n 3"]
+    ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
+        return np.arange(len(self.uv)), self.covectors(position)
 
-    def slopes(self, surface: AbstractSurface) -> tuple[Float[Array, "n 2"], Float[Array, "n 3"]]:
-        seen, depth = self._seen(surface)
+    def covectors(self, position: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+        """The derivatives of the residuals with respect to the positions."""
+        seen, depth = self._seen(position)
         covectors = self.plane[:, :3] - (seen / depth)[:, None] * self.depth[:, :3]
-        return self.uv, covectors * (self.root / depth)[:, None]
+        return covectors * (self.root / depth)[:, None]
 
-    def _seen(self, surface: AbstractSurface) -> tuple[Array, Array]:
-        position = surface.position(self.uv[:, 0], self.uv[:, 1])
-        seen = jnp.sum(self.plane[:, :3] * position, axis=-1) + self.plane[:, 3]
-        return seen, jnp.sum(self.depth[:, :3] * position, axis=-1) + self.depth[:, 3]
+    def _seen(
+        self, position: Float[np.ndarray, "n 3"]
+    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+        """The distances in pixels, positive where the outline lies outside, times depths; the depths."""
+        seen = np.sum(self.plane[:, :3] * position, axis=-1) + self.plane[:, 3]
+        return seen, np.sum(self.depth[:, :3] * position, axis=-1) + self.depth[:, 3]

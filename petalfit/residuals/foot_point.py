@@ -7,12 +7,12 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
-from petalfit.surfaces import AbstractSurface
+from petalfit.surfaces import AbstractMap
 
 
-def nearest_nodes(surface: AbstractSurface, points: Float[Array, "n 3"]) -> Float[Array, "n 2"]:
+def nearest_nodes(surface: AbstractMap, points: Float[Array, "n 3"]) -> Float[Array, "n 2"]:
     """The nearest of 17 × 17 places of the domain for each point: coarse starts of foot points."""
     (u_low, u_high), (v_low, v_high) = surface.domain
     fraction = (np.arange(_NODES) + 0.5) / _NODES
@@ -27,102 +27,14 @@ def nearest_nodes(surface: AbstractSurface, points: Float[Array, "n 3"]) -> Floa
     return jnp.stack([jnp.asarray(u)[index], jnp.asarray(v)[index]], axis=-1)
 
 
-def slide_foot_points(
-    surface: AbstractSurface,
-    points: Float[Array, "n 3"],
-    uv: Float[Array, "n 2"],
-    iterations: int | Int[Array, ""],
-) -> Float[Array, "n 2"]:
-    """Refines foot points within their own local minima; see `refine_foot_points`."""
-    return _newton(surface, points, uv, iterations)[0]
-
-
-def refine_foot_points(
-    surface: AbstractSurface,
-    points: Float[Array, "n 3"],
-    uv: Float[Array, "n 2"],
-    iterations: int | Int[Array, ""],
-    around: bool | Bool[Array, ""] = True,
-) -> Float[Array, "n 2"]:
-    """Minimises |S(u, v) − x| over the surface's domain for every point, from the starts `uv`.
-
-    The method is Newton's with a Levenberg damping per point, whose quadratic model is minimised over the
-    domain. Second derivatives are necessary: where the surface bends within the noise (ribs, the midrib's
-    crest), Gauss-Newton does not converge. Two kinds of points then search for a better minimum. Those
-    that still move or are weakly determined (between two layers that meet at a fold, or two ribs) search
-    nearby; the farthest points search everywhere.
-
-    Args:
-        surface: Any surface.
-        points: The points x, in the surface's frame.
-        uv: The start of every point, inside the domain.
-        iterations: The number of Newton steps; two from a good start, six from a coarse one.
-        around: Whether points search for a better minimum at all.
-
-    Returns:
-        Foot points, never farther from `points` than `uv` was.
-    """
-    uv, doubt, squared = _newton(surface, points, uv, iterations)
-    return jax.lax.cond(
-        around, lambda: _looked_around(surface, points, uv, doubt, squared), lambda: uv
-    )
-
-
-def _looked_around(
-    surface: AbstractSurface, points: Array, uv: Array, doubt: Array, squared: Array
-) -> Array:
-    """Foot points, improved where the doubtful and the farthest points find better minima."""
-    n = len(uv)
-    _, doubtful = jax.lax.top_k(doubt, min(n, max(32, n // 32)))
-    _, far = jax.lax.top_k(squared, min(n, max(32, n // 64)))
-    which = jnp.concatenate([doubtful, far])
-    places = [_places_nearby(surface, uv[doubtful]), _places_to_look(surface, points[far])]
-    starts = jnp.concatenate([uv[which][None], jnp.concatenate(places, axis=1)])
-    rows = jnp.tile(points[which], (len(starts), 1))
-    found, _, reached = _newton(surface, rows, starts.reshape(-1, 2), 8)
-    reached = reached.reshape(starts.shape[:2])
-    closest, column = jnp.argmin(reached, axis=0), jnp.arange(len(which))
-    better = reached[closest, column] < squared[which]
-    found = found.reshape(starts.shape)[closest, column]
-    return uv.at[which].set(jnp.where(better[:, None], found, uv[which]))
-
-
-def _places_nearby(surface: AbstractSurface, uv: Array) -> Array:
-    """Starts on all four sides of given places, shape (4, n, 2)."""
-    low, high = (jnp.asarray(side, uv.dtype) for side in zip(*surface.domain, strict=True))
-    sides = np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
-    return jnp.clip(uv + 0.04 * (high - low) * sides[:, None], low, high)
-
-
 def half_squared_distance(
-    surface: AbstractSurface, uv: Float[Array, "2"], x: Float[Array, "3"]
+    surface: AbstractMap, uv: Float[Array, "2"], x: Float[Array, "3"]
 ) -> Float[Array, ""]:
     """½ |S(u, v) − x|², for one point."""
     return 0.5 * jnp.sum((surface.position(uv[0], uv[1]) - x) ** 2)
 
 
-def _places_to_look(surface: AbstractSurface, points: Array) -> Array:
-    """Starts in four different parts of the domain, shape (4, n, 2): the nearest node of each part.
-
-    Where a surface folds over itself, the nearest node of all may lie on the wrong layer.
-    """
-    (u_low, u_high), (v_low, v_high) = surface.domain
-    fraction = (jnp.arange(32) + 0.5) / 32
-    u, v = u_low + (u_high - u_low) * fraction, v_low + (v_high - v_low) * fraction
-    uv = jnp.stack(jnp.meshgrid(u, v, indexing="ij"), axis=-1)
-    uv = uv.reshape(8, 4, 8, 4, 2).transpose(0, 2, 1, 3, 4).reshape(64, 16, 2)  # parts, nodes
-    nodes = surface.position(uv[..., 0], uv[..., 1])
-
-    def look(x: Array) -> Array:
-        squared = jnp.sum(nodes**2, axis=-1) - 2.0 * nodes @ x
-        _, parts = jax.lax.top_k(-jnp.min(squared, axis=-1), 4)
-        return uv[parts, jnp.argmin(squared[parts], axis=-1)]
-
-    starts = jax.lax.map(look, points, batch_size=min(len(points), 256))
-    return jnp.swapaxes(starts, 0, 1)
-
-
-def limits(surface: AbstractSurface) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
+def limits(surface: AbstractMap) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
     """The least and the greatest (u, v) of foot points; practically infinite where there is no edge."""
     low, high = (jnp.asarray(side, float) for side in zip(*surface.domain, strict=True))
     ends = np.asarray(surface.edges)
@@ -133,10 +45,28 @@ _ENDLESS = 1e6
 _NODES = 17
 
 
-def _newton(
-    surface: AbstractSurface, points: Array, uv: Array, iterations: int | Array
-) -> tuple[Array, Array, Array]:
-    """Foot points, a number for how doubtful each is, and half the squared distances."""
+def newton(
+    surface: AbstractMap,
+    points: Float[Array, "n 3"],
+    uv: Float[Array, "n 2"],
+    iterations: int | Int[Array, ""],
+) -> tuple[Float[Array, "n 2"], Float[Array, " n"], Float[Array, " n"]]:
+    """Minimises |S(u, v) − x| over the domain for every point x, within its own local minimum.
+
+    The method is Newton's with a Levenberg damping per point, whose quadratic model is minimised over the
+    domain. Second derivatives are necessary: where the surface bends within the noise (ribs, the midrib's
+    crest), Gauss-Newton does not converge.
+
+    Args:
+        surface: Any surface.
+        points: The points x, in the surface's frame.
+        uv: The start of every point, inside the domain.
+        iterations: The number of steps; two from a good start, six from a coarse one.
+
+    Returns:
+        The foot points, a number for how doubtful each is (see `least_places`), and half the squared
+        distances.
+    """
 
     @jax.vmap
     def expand(uv: Array, x: Array) -> tuple[Array, Array, Array]:

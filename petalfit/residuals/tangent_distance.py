@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import dataclasses
+from typing import Any, NamedTuple
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
-from petalfit.residuals.contact import Frame, frame
+from petalfit.residuals.contact import Frame
 from petalfit.residuals.edge import (
     EDGE_NODES,
     edge_nodes,
@@ -18,41 +16,53 @@ from petalfit.residuals.edge import (
     edge_residual,
     edge_score,
 )
-from petalfit.residuals.foot_point import slide_foot_points
+from petalfit.residuals.programs import frames, slide_foot_points
 from petalfit.residuals.term import AbstractFrozen, AbstractTerm, Pull
 from petalfit.surfaces import AbstractSurface
 
 # Edge residuals are computed for the quarter of the points nearest to an edge, but for at least so many,
 # unless they are wanted everywhere.
 _FEW = 256
+_SLIDES = 2  # Newton steps of the foot points in each round
 
 
 class Data(NamedTuple):
-    """A cloud in the form that compiled programs use, padded to a fixed size with zero weights.
+    """A cloud, as residuals use it: arrays of NumPy, or of jax where a fit is differentiated.
 
     Attributes:
         points: The points in the model's frame, shape (n, 3).
-        weights: The number of observations that each point counts for, shape (n,); zero for padding.
+        weights: The number of observations that each point counts for, shape (n,).
         sigma: The standard deviation of the noise, in the unit of length; NaN to estimate it.
     """
 
-    points: Float[Array, "n 3"]
-    weights: Float[Array, " n"]
-    sigma: Float[Array, ""]
+    points: Float[Any, "n 3"]
+    weights: Float[Any, " n"]
+    sigma: float | Float[Any, ""]
+
+    @classmethod
+    def of(
+        cls,
+        points: Float[np.ndarray, "n 3"],
+        weights: Float[np.ndarray, " n"],
+        noise: float | None,
+    ) -> Data:
+        """A cloud with a given noise, or None to estimate it."""
+        return cls(points, weights, np.nan if noise is None else float(noise))
 
 
-def estimate_sigma(data: Data, distance: Float[Array, " n"], free: int) -> Float[Array, ""]:
+def estimated_noise(data: Data, distance: Float[np.ndarray, " n"], free: int) -> float:
     """The given noise, or the estimate √(Σ w d² / (Σ w − p)), at least 1e-9 of the extent.
 
     p is `free`, the number of fitted parameters.
     """
-    count = jnp.sum(data.weights)
-    variance = jnp.sum(data.weights * distance**2) / jnp.maximum(count - free, 1)
-    extent = jnp.max(jnp.abs(data.points))
-    estimated = jnp.maximum(jnp.sqrt(variance), 1e-9 * extent)
-    return jnp.where(jnp.isnan(data.sigma), estimated, data.sigma)
+    if not np.isnan(data.sigma):
+        return float(data.sigma)
+    count = np.sum(data.weights)
+    variance = np.sum(data.weights * distance**2) / max(count - free, 1)
+    return float(max(np.sqrt(variance), 1e-9 * np.max(np.abs(data.points))))
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
 class TangentDistance(AbstractTerm):
     """The cost of a cloud, Σ d²/2σ² − Σ log Φ(−e/σ) + Σ log Area.
 
@@ -63,39 +73,37 @@ class TangentDistance(AbstractTerm):
         data: The cloud.
         uv: The foot points, shape (n, 2).
         sigma: The noise, given or estimated from the distances.
-        slides: The number of Newton steps of the foot points before they are held fixed; 0 if they have
-            converged already.
         everywhere: Whether edge residuals are computed for all points, and not only for those nearest to
             an edge.
     """
 
     data: Data
-    uv: Float[Array, "n 2"]
-    sigma: Float[Array, ""]
-    slides: Int[Array | np.ndarray, ""] = eqx.field(default_factory=lambda: np.asarray(2))
-    everywhere: bool = eqx.field(static=True, default=False)
+    uv: Float[np.ndarray, "n 2"]
+    sigma: float
+    everywhere: bool = False
 
     def freeze(
         self, surface: AbstractSurface, free: int
     ) -> tuple[TangentDistance, FrozenDistance, Pull]:
-        slides = jnp.asarray(self.slides)
-        data, uv = self.data, slide_foot_points(surface, self.data.points, self.uv, slides)
-        nodes = jnp.asarray(edge_nodes(surface.domain), uv.dtype)
-        both = frame(surface, jnp.concatenate([uv, nodes]))
+        data = self.data
+        uv, _, _ = slide_foot_points(surface, data.points, self.uv, _SLIDES)
+        nodes = edge_nodes(surface.domain)
+        both = frames(surface, np.concatenate([uv, nodes]))
         here, edge = (Frame(*(x[s] for x in both)) for s in (np.s_[: len(uv)], np.s_[len(uv) :]))
-        sigma = estimate_sigma(data, here.distance(data.points), free)
-        beyond = jnp.max(here.beyond(data.points), axis=-1)
-        beyond = jnp.where(data.weights > 0, beyond, -jnp.inf)
+        sigma = estimated_noise(data, here.distance(data.points), free)
+        beyond = np.max(here.beyond(data.points), axis=-1)
+        beyond = np.where(data.weights > 0, beyond, -np.inf)
         few = len(uv) if self.everywhere else max(len(uv) // 4, min(len(uv), _FEW))
-        _, near = jax.lax.top_k(beyond, few)
+        near = np.argpartition(-beyond, few - 1)[:few]
         pull = edge_pull(surface, edge, uv, data.weights, beyond / sigma, sigma)
         return (
             TangentDistance(data=data, uv=uv, sigma=sigma, everywhere=self.everywhere),
-            FrozenDistance(data, uv, sigma, here, near),
-            Pull(nodes[:EDGE_NODES], pull),
+            FrozenDistance(data=data, uv=uv, sigma=sigma, frame=here, near=near),
+            Pull(nodes[:EDGE_NODES], np.asarray(pull), edge.position[:EDGE_NODES]),
         )
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
 class FrozenDistance(AbstractFrozen):
     """`TangentDistance` with fixed foot points: distances to the frames at the foot points.
 
@@ -108,33 +116,35 @@ class FrozenDistance(AbstractFrozen):
     """
 
     data: Data
-    uv: Float[Array, "n 2"]
-    sigma: Float[Array, ""]
+    uv: Float[np.ndarray, "n 2"]
+    sigma: float
     frame: Frame
-    near: Int[Array, " m"]
+    near: Int[np.ndarray, " m"]
 
-    def residual(self, surface: AbstractSurface) -> Float[Array, " n_and_m"]:
-        distance, beyond = self._decompose(surface)
-        edge = jnp.linalg.norm(edge_residual(beyond), axis=-1)
-        root = jnp.sqrt(self.data.weights)
-        return jnp.concatenate([root * distance, root[self.near] * edge])
+    def residual(self, position: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n_and_m"]:
+        distance, beyond = self._decompose(position)
+        edge = np.linalg.norm(edge_residual(beyond), axis=-1)
+        root = np.sqrt(self.data.weights)
+        return np.concatenate([root * distance, root[self.near] * edge])
 
     def slopes(
-        self, surface: AbstractSurface
-    ) -> tuple[Float[Array, "n_and_m 2"], Float[Array, "n_and_m 3"]]:
-        _, beyond = self._decompose(surface)
+        self, position: Float[np.ndarray, "n 3"]
+    ) -> tuple[Int[np.ndarray, " n_and_m"], Float[np.ndarray, "n_and_m 3"]]:
+        _, beyond = self._decompose(position)
         residual, score = edge_residual(beyond), edge_score(beyond)
-        norm = jnp.linalg.norm(residual, axis=-1, keepdims=True)
-        slope = jnp.where(norm > 0, score / jnp.where(norm > 0, norm, 1.0), 0.0)
-        edge = jnp.sum(slope[..., None] * self.frame.conormals[self.near], axis=1)
-        rows = jnp.concatenate([jnp.arange(len(self.uv)), self.near])
-        root = jnp.sqrt(self.data.weights[rows]) / self.sigma
-        return self.uv[rows], -jnp.concatenate([self.frame.normal, edge]) * root[:, None]
+        norm = np.linalg.norm(residual, axis=-1, keepdims=True)
+        slope = np.where(norm > 0, score / np.where(norm > 0, norm, 1.0), 0.0)
+        edge = np.sum(slope[..., None] * self.frame.conormals[self.near], axis=1)
+        rows = np.concatenate([np.arange(len(self.uv)), self.near])
+        root = np.sqrt(self.data.weights[rows]) / self.sigma
+        return rows, -np.concatenate([self.frame.normal, edge]) * root[:, None]
 
-    def _decompose(self, surface: AbstractSurface) -> tuple[Array, Array]:
+    def _decompose(
+        self, position: Float[np.ndarray, "n 3"]
+    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "m 2"]]:
         """The normal distances, and the edge distances of the points near an edge, in units of σ."""
-        offset = self.data.points - surface.position(self.uv[:, 0], self.uv[:, 1])
-        distance = jnp.sum(self.frame.normal * offset, axis=-1)
+        offset = self.data.points - position
+        distance = np.sum(self.frame.normal * offset, axis=-1)
         conormals, left = self.frame.conormals[self.near], self.frame.left[self.near]
-        beyond = jnp.sum(conormals * offset[self.near, None, :], axis=-1) - left
+        beyond = np.sum(conormals * offset[self.near, None, :], axis=-1) - left
         return distance / self.sigma, beyond / self.sigma

@@ -1,13 +1,17 @@
-"""Terms of a cost: the misfit of one observation to a surface. A joint fit adds several terms."""
+"""Terms of a cost: the misfit of one observation to a surface. A joint fit adds several terms.
+
+Terms compute with NumPy; what they need of a surface they ask `petalfit.residuals.programs` for, because
+there the compiled programs are shared.
+"""
 
 from __future__ import annotations
 
 import abc
+import dataclasses
 from typing import NamedTuple
 
-import equinox as eqx
-import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
+from jaxtyping import Float, Int
 
 from petalfit.surfaces import AbstractSurface
 
@@ -18,32 +22,42 @@ class Pull(NamedTuple):
     Attributes:
         uv: Places on the surface, shape (k, 2).
         covectors: A covector at each place, shape (k, 3).
+        position: The positions S of the places at the beginning of a round, shape (k, 3).
     """
 
-    uv: Float[Array, "k 2"]
-    covectors: Float[Array, "k 3"]
+    uv: Float[np.ndarray, "k 2"]
+    covectors: Float[np.ndarray, "k 3"]
+    position: Float[np.ndarray, "k 3"]
 
 
-class AbstractFrozen(eqx.Module):
-    """A term whose foot points are fixed: its residuals are a function of the surface alone."""
+class AbstractFrozen(abc.ABC):
+    """A term whose foot points are fixed: its residuals are a function of positions on the surface alone.
+
+    Attributes:
+        uv: The places of these positions, shape (k, 2).
+    """
+
+    uv: Float[np.ndarray, "k 2"]
 
     @abc.abstractmethod
-    def residual(self, surface: AbstractSurface) -> Float[Array, " m"]:
+    def residual(self, position: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " m"]:
         """The residuals in units of the noise; half the sum of their squares is the cost."""
 
     @abc.abstractmethod
-    def slopes(self, surface: AbstractSurface) -> tuple[Float[Array, "m 2"], Float[Array, "m 3"]]:
-        """A place uv and a covector w for each residual r, such that dr = w · dS(uv)."""
+    def slopes(
+        self, position: Float[np.ndarray, "k 3"]
+    ) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m 3"]]:
+        """The index i of a place and a covector w for each residual r, such that dr = w · dS(uv[i])."""
 
 
-class AbstractTerm(eqx.Module):
+class AbstractTerm(abc.ABC):
     """The misfit of one observation to a surface, with its foot points.
 
     Attributes:
         sigma: The noise that the last round used, in the unit of the observation.
     """
 
-    sigma: eqx.AbstractVar[Float[Array, ""]]
+    sigma: float
 
     @abc.abstractmethod
     def freeze(
@@ -57,5 +71,5 @@ class AbstractTerm(eqx.Module):
         """
 
     def with_noise(self, sigma: float) -> AbstractTerm:
-        """The term with another noise."""
-        return eqx.tree_at(lambda term: term.sigma, self, jnp.asarray(sigma, float))
+        """The term, a dataclass, with another noise."""
+        return dataclasses.replace(self, sigma=sigma)  # pyright: ignore[reportArgumentType]

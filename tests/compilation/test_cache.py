@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from petalfit.compilation import Program, store, use_store, watched
+from petalfit.compilation import ExecutableStore, Program, store, use_store, watched
 from petalfit.compilation import cache as module
 from petalfit.compilation.cache import (
     VARIABLE,
@@ -200,8 +200,8 @@ def test_without_a_store_a_program_compiles_once_and_says_so() -> None:
         return jnp.sum(jnp.asarray(x) ** 3)
 
     program = Program(cubes)
-    with use_store(None):
-        times = []
+    times = []
+    with use_store(ExecutableStore(None)):
         for _ in range(2):
             with watched("computing") as watch:
                 program(np.arange(11.0, dtype=np.float32))

@@ -10,7 +10,7 @@ import pytest
 from petalfit.compilation import BLOCK, ExecutableStore, RowProgram, prepared, use_store, watched
 
 
-def _shifted(shift: jax.Array, rows: jax.Array, factor: float) -> dict[str, jax.Array]:
+def _shifted(shift: jax.Array, factor: float, rows: jax.Array) -> dict[str, jax.Array]:
     return {"sum": (rows + shift) * factor, "norm": jnp.linalg.norm(rows + shift, axis=-1)}
 
 
@@ -19,29 +19,29 @@ def test_rows_are_the_same_in_blocks(count):
     rows = np.random.default_rng(0).standard_normal((count, 3))
     shift = np.array([1.0, 2.0, 3.0])
     with jax.enable_x64(True):
-        found = RowProgram(_shifted, (1,))(shift, rows, 2.0)
+        found = RowProgram(_shifted, 1)(shift, 2.0, rows)
     np.testing.assert_allclose(found["sum"], 2 * (rows + shift), rtol=1e-14)
     np.testing.assert_allclose(found["norm"], np.linalg.norm(rows + shift, axis=-1), rtol=1e-14)
 
 
 def test_more_rows_compile_nothing(tmp_path):
-    program = RowProgram(_shifted, (1,))
+    program = RowProgram(_shifted, 1)
     seconds = []
     with jax.enable_x64(True), use_store(ExecutableStore(tmp_path)):
         for blocks in (4, 7):
             with watched("computing") as watch:
-                program(np.zeros(3), np.ones((blocks * BLOCK, 3)), 2.0)
+                program(np.zeros(3), 2.0, np.ones((blocks * BLOCK, 3)))
             seconds.append(watch.seconds)
     assert ["compiling" in x for x in seconds] == [True, False]
 
 
 def test_workers_do_not_wait_for_each_other():
     """Each of them splits its rows, for which no worker is left."""
-    program, rows = RowProgram(_shifted, (1,)), np.ones((4 * BLOCK, 3))
+    program, rows = RowProgram(_shifted, 1), np.ones((4 * BLOCK, 3))
     found = []
 
     def work() -> None:
-        found.append(program(np.zeros(3), rows, 2.0))
+        found.append(program(np.zeros(3), 2.0, rows))
 
     for wait in [prepared(work) for _ in range(2 * (os.cpu_count() or 1))]:
         wait()

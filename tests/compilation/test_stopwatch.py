@@ -15,15 +15,14 @@ def test_stages_add_up(monkeypatch: pytest.MonkeyPatch) -> None:
         now = 1.0
         with stage("inner"):
             now = 3.0
-            module.moved(0.5, "moved")
         now = 7.0
         with suppress(ValueError), stage("inner"):
             now = 8.0
             raise ValueError
         now = 8.5
-    assert watch.seconds == {"outer": 5.5, "inner": 2.5, "moved": 0.5}
+    assert watch.seconds == {"outer": 5.5, "inner": 3.0}
 
 
 def test_nobody_need_watch() -> None:
     with stage("anything"):
-        module.moved(1.0, "anything")
+        pass

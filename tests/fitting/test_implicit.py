@@ -48,7 +48,8 @@ def check_gradient(model, free, n, seed):
         coordinates = Coordinates.of(model, free)
         t = jnp.asarray(coordinates.inverse(coordinates.template))
         x = jnp.asarray(points)
-        uv = refine_foot_points(coordinates.template, x, nearest_nodes(coordinates.template, x), 6)
+        nodes = nearest_nodes(coordinates.template, points)
+        uv = jnp.asarray(refine_foot_points(coordinates.template, points, nodes, 6))
         combination = jnp.linspace(1.0, 2.0, len(free))
 
         @jax.jit

@@ -3,10 +3,9 @@
 import dataclasses
 from typing import Any, ClassVar
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 import petalfit as pf
 from petalfit.fitting.likelihood.mixture import Mixture
@@ -19,7 +18,7 @@ from petalfit.fitting.silhouettes.observing import MAKERS
 from petalfit.observations import AbstractObservation, observation_from_json
 from petalfit.report.shown.protocol import AbstractShown
 from petalfit.report.shown.registry import SHOWN
-from petalfit.residuals import AbstractFrozen, AbstractTerm, pull_back
+from petalfit.residuals import AbstractFrozen, AbstractTerm, places, pulled
 
 PETAL = pf.PeonyPetal(a_x=13.0, b_y=24.0, c=0.5, dx=0.3, dy=2.0)
 SIGMA = 0.02
@@ -57,22 +56,23 @@ class Landmarks(AbstractObservation):
         return cls(np.array(content["uv"]), np.array(content["points"]))
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
 class LandmarkDistance(AbstractTerm, AbstractFrozen):
     """All three coordinates of the distances, in units of σ."""
 
-    uv: Float[Array, "n 2"]
-    points: Float[Array, "n 3"]
-    sigma: Float[Array, ""]
+    uv: Float[np.ndarray, "n 2"]
+    points: Float[np.ndarray, "n 3"]
+    sigma: float
 
     def freeze(self, surface, free):
         return self, self, None
 
-    def residual(self, surface):
-        return ((surface.position(*self.uv.T) - self.points) / self.sigma).ravel()
+    def residual(self, position):
+        return ((position - self.points) / self.sigma).ravel()
 
-    def slopes(self, surface):
-        covectors = jnp.tile(jnp.eye(3) / self.sigma, (len(self.uv), 1))
-        return jnp.repeat(self.uv, 3, axis=0), covectors
+    def slopes(self, position):
+        covectors = np.tile(np.eye(3) / self.sigma, (len(self.uv), 1))
+        return np.repeat(np.arange(len(self.uv)), 3), covectors
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,23 +82,27 @@ class ObservedLandmarks(AbstractObserved):
     marks: Landmarks
 
     def match(self, model, term):
-        uv, points = jnp.asarray(self.marks.uv), jnp.asarray(self.marks.points)
-        return LandmarkDistance(uv=uv, points=points, sigma=jnp.asarray(SIGMA))
+        return LandmarkDistance(self.marks.uv, self.marks.points, SIGMA)
 
     def information(self, coordinates, t, term):
         model = coordinates.model(t)
-        slopes = coordinates.gather(pull_back(model, *term.slopes(model))) * coordinates.slopes(t)
-        return np.asarray(slopes.T @ slopes), SIGMA
+        position = places(model, term.uv)
+        index, covectors = term.slopes(position)
+        slopes = pulled(model, term.uv[index], covectors, coordinates.free, position[index])
+        slopes = slopes * coordinates.slopes(t)
+        return slopes.T @ slopes, SIGMA
 
     def misfit(self, model):
-        return float(np.log1p(np.mean(np.asarray(self.match(model, None).residual(model)) ** 2)))
+        term = self.match(model, None)
+        return float(np.log1p(np.mean(term.residual(places(model, term.uv)) ** 2)))
 
     def score_and_information(self, coordinates, t, term):
         information, _ = self.information(coordinates, t, term)
         return ScoreAndInformation(term, information, np.zeros(len(t)), information)
 
     def residuals(self, coordinates, t, term):
-        gaps = np.asarray(term.residual(coordinates.model(t))).reshape(-1, 3) * SIGMA
+        position = places(coordinates.model(t), term.uv)
+        gaps = term.residual(position).reshape(-1, 3) * SIGMA
         distance = np.linalg.norm(gaps, axis=1)
         chi2 = float(np.sum((distance / SIGMA) ** 2))
         return [Residuals(distance, np.ones(len(distance)), SIGMA, "length", chi2)]

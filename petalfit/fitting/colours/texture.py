@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from petalfit.compilation import bucket, pad_to
-from petalfit.fitting.coordinates import in_doubles
-from petalfit.fitting.likelihood import programs
 from petalfit.fitting.likelihood.foot_points import guess_foot_points
 from petalfit.observations import PointCloud, TargetError, Texture
+from petalfit.residuals import refine_foot_points
 from petalfit.results import FitRecord
 from petalfit.surfaces import AbstractSurface
 
@@ -34,9 +31,7 @@ def colours_on(surface: AbstractSurface | FitRecord, cloud: PointCloud) -> Textu
         points = (points - shift) @ rotation / float(pose.scale)
     assert isinstance(model, AbstractSurface)
     with jax.enable_x64(True):
-        rows = pad_to(points, bucket(len(points)))
-        model = in_doubles(model)
-        uv = programs.refine(model, rows, guess_foot_points(model, jnp.asarray(rows)), 3)
+        uv = refine_foot_points(model, points, guess_foot_points(model, points), 3)
     low, high = np.array(model.domain).T
-    places = np.clip((np.asarray(uv)[: len(points)] - low) / (high - low), 0, 1) - [0.5, 0.0]
+    places = np.clip((uv - low) / (high - low), 0, 1) - [0.5, 0.0]
     return Texture.at(places, cloud.colours, cloud.weights)

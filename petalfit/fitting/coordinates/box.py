@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Generic
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -23,7 +25,9 @@ from petalfit.surfaces import value_at
 _WIDE = 4.0
 
 
-class Box(eqx.Module, Generic[Model]):
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
+class Box(Generic[Model]):
     """The free parameters of a model, divided by the standard deviations of their typical ranges.
 
     Positive parameters with a wide typical range are taken by their logarithms. Unlike `Coordinates` all
@@ -39,7 +43,7 @@ class Box(eqx.Module, Generic[Model]):
     """
 
     template: Model
-    free: tuple[str, ...] = eqx.field(static=True)
+    free: tuple[str, ...] = dataclasses.field(metadata={"static": True})
     logs: Bool[Numbers, " p"]
     spread: Float[Numbers, " p"]
     low: Float[Numbers, " p"]

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable, Mapping
-from typing import Generic, TypeAlias, TypeVar
+from functools import lru_cache
+from typing import Any, Generic, TypeAlias, TypeVar
 
 import equinox as eqx
 import jax
@@ -19,7 +21,9 @@ Model = TypeVar("Model", bound=eqx.Module)
 Numbers: TypeAlias = Array | np.ndarray
 
 
-class Coordinates(eqx.Module, Generic[Model]):
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, eq=False)
+class Coordinates(Generic[Model]):
     """A bijection between ℝᵖ and the free parameters of a model inside their bounds.
 
     θ = middle + half·s/√(1 + s²) with s = scale·t: nearly linear away from the bounds, and a unit step
@@ -33,7 +37,7 @@ class Coordinates(eqx.Module, Generic[Model]):
     """
 
     template: Model
-    free: tuple[str, ...] = eqx.field(static=True)
+    free: tuple[str, ...] = dataclasses.field(metadata={"static": True})
     middle: Float[Numbers, " p"]
     half: Float[Numbers, " p"]
     scale: Float[Numbers, " p"]
@@ -43,20 +47,20 @@ class Coordinates(eqx.Module, Generic[Model]):
     def of(cls, model: Model, free: tuple[str, ...]) -> Coordinates[Model]:
         """Coordinates of the free parameters of `model`, bounded as they are declared."""
         declared = [parameters(model)[name] for name in free]
-        low, high = np.array([p.bounds for p in declared]).T
-        typical = np.array([p.typical for p in declared])
+        low, high = np.array([p.bounds for p in declared]).reshape(-1, 2).T
+        typical = np.array([p.typical for p in declared]).reshape(-1, 2)
         half = 0.5 * (high - low)
         scale = (typical[:, 1] - typical[:, 0]) / np.sqrt(12) / half
         return cls(in_doubles(model), free, 0.5 * (low + high), half, scale, np.ones(len(free)))
 
     def around(self, model: Model) -> Coordinates[Model]:
         """The same coordinates with another template."""
-        return eqx.tree_at(lambda c: c.template, self, in_doubles(model))
+        return dataclasses.replace(self, template=in_doubles(model))
 
     def holding(self, names: Iterable[str]) -> Coordinates[Model]:
         """The same coordinates with the named parameters held: same shapes, same compiled code."""
         active = np.array([float(name not in names) for name in self.free])
-        return eqx.tree_at(lambda c: c.active, self, active)
+        return dataclasses.replace(self, active=active)
 
     @property
     def moving(self) -> tuple[str, ...]:
@@ -99,8 +103,17 @@ class Coordinates(eqx.Module, Generic[Model]):
 
 def replaced(model: Model, names: tuple[str, ...], values: Float[Numbers, " p"]) -> Model:
     """The model with an array of new values for some of its parameters."""
-    where = lambda model: [value_at(model, name) for name in names]  # noqa: E731
-    return eqx.tree_at(where, model, [values[i] for i in range(len(names))])
+    leaves, structure = jax.tree.flatten(model)
+    for k, place in enumerate(_places(structure, names)):
+        leaves[place] = values[k]
+    return jax.tree.unflatten(structure, leaves)
+
+
+@lru_cache
+def _places(structure: Any, names: tuple[str, ...]) -> list[int]:
+    """The indices of parameters among the leaves of a model."""
+    numbered = jax.tree.unflatten(structure, range(structure.num_leaves))
+    return [value_at(numbered, name) for name in names]
 
 
 def gathered(tree: eqx.Module, names: tuple[str, ...]) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 from petalfit.fitting.coordinates import Coordinates, Prior
 from petalfit.fitting.families.family import AbstractFamily
 from petalfit.fitting.families.polish import START_POINTS, Polishing, follow
-from petalfit.fitting.likelihood.cloud import ObservedCloud, pad
+from petalfit.fitting.likelihood.cloud import ObservedCloud
 from petalfit.fitting.likelihood.quadrature import Quadrature
 from petalfit.fitting.outliers.scan import Scan
 from petalfit.fitting.request.request import Request, scan_of
@@ -19,6 +19,7 @@ from petalfit.fitting.solver.all_points import with_all_points
 from petalfit.fitting.solver.iterate import Iterate
 from petalfit.fitting.starts.extent import extent_starts
 from petalfit.fitting.starts.frame import NormalisedFrame
+from petalfit.residuals import Data
 from petalfit.surfaces import AbstractSurface, Rectangle
 
 
@@ -55,7 +56,7 @@ class RectangleFamily(ComponentFamily):
 
 
 def _observed(points: np.ndarray, weights: np.ndarray, noise: float | None) -> ObservedCloud:
-    return ObservedCloud(pad(points, weights, noise))
+    return ObservedCloud(Data.of(points, weights, noise))
 
 
 def _uniformly_covered(end: Iterate, scan: Scan) -> Iterate:

@@ -10,7 +10,7 @@ import numpy as np
 from petalfit.compilation import stage
 from petalfit.fitting.coordinates import Coordinates, Prior
 from petalfit.fitting.inference.pinning import pinned
-from petalfit.fitting.likelihood.cloud import BIAS_POINTS, ObservedCloud, pad
+from petalfit.fitting.likelihood.cloud import BIAS_POINTS, ObservedCloud
 from petalfit.fitting.likelihood.condensed_cloud import ENOUGH, CondensedCloud
 from petalfit.fitting.likelihood.foot_points import guess_foot_points
 from petalfit.fitting.likelihood.relief import beside_many
@@ -20,6 +20,7 @@ from petalfit.fitting.solver.alternate import minimise, whiten
 from petalfit.fitting.solver.debias import without_bias
 from petalfit.fitting.solver.iterate import Iterate
 from petalfit.fitting.solver.observer import report
+from petalfit.residuals import Data
 from petalfit.surfaces import AbstractSurface
 
 # Number of points that starts are found with. It is enough for the ribs, which are fine, and small clouds
@@ -116,7 +117,7 @@ def _by_passes(
         beside = beside_many(near.model, points)[:2]
         mixture = scan.background.mixture(near.model, *beside, weights, scan.noise)
         weights = weights * mixture.members
-    sample = pad(points[first], weights[first], scan.noise)
+    sample = Data.of(points[first], weights[first], scan.noise)
     blur, rounds, moved = float(term_of(near).sigma), near.rounds, np.inf
     # A part of the points brings the end within a few standard errors of that of all points.
     some = scan.order[:_PART] if len(points) > 2 * _PART else slice(None)
@@ -186,7 +187,7 @@ def _polished_on(
             return near, members
         # Too few points are left that belong to the surface: the result then is its distance from all.
         model, rounds = near.model, 1
-    cloud = ObservedCloud(pad(points, weights, scan.noise))
+    cloud = ObservedCloud(Data.of(points, weights, scan.noise))
     start = cloud.at(guess_foot_points(model, cloud.data.points))
     end = minimise(coordinates, [cloud], model, [start], rounds, tolerance, prior)
     again = cloud.rematched(end.model, term_of(end))

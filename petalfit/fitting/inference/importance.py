@@ -14,7 +14,7 @@ from petalfit.components import Posed, parameters
 from petalfit.fitting.coordinates import in_doubles
 from petalfit.fitting.inference.linear_rows import Linear
 from petalfit.observations import PointCloud
-from petalfit.residuals import frame, slide_foot_points
+from petalfit.residuals import frame, newton
 from petalfit.results import Draws, FitRecord
 from petalfit.surfaces import AbstractSurface, batch_of, value_at
 
@@ -164,7 +164,7 @@ def _sum_of_squares(
     """Weighted squared normal distances from many models, with foot points looked up near given ones."""
 
     def one(model: AbstractSurface) -> Array:
-        places = slide_foot_points(model, points, uv, 1)
+        places, _, _ = newton(model, points, uv, 1)
         return jnp.sum(weights * frame(model, places).distance(points) ** 2)
 
     return jax.lax.map(one, models)

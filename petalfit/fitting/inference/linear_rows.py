@@ -5,15 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from petalfit.compilation import blocks
 from petalfit.fitting.coordinates import Coordinates
 from petalfit.fitting.inference.discrepancy import CELLS, Rows, is_suspect
-from petalfit.fitting.likelihood import programs
-from petalfit.fitting.likelihood.linearise import Linearisation
+from petalfit.fitting.likelihood.linearise import Linearisation, linearise
 from petalfit.fitting.solver.iterate import Iterate
 from petalfit.observations import PointCloud
 from petalfit.residuals import Data
@@ -40,8 +37,8 @@ class Linear(NamedTuple):
     """The likelihood of some points of a cloud, linearised by the values of the parameters.
 
     Attributes:
-        data: The points, padded, with weights that add up to those of the whole cloud.
-        uv: Their foot points, padded, shape (n, 2).
+        data: The points, with weights that add up to those of the whole cloud.
+        uv: Their foot points, shape (n, 2).
         here: The linearisation by coordinates.
         by_value: dt/dθ, which turns derivatives by coordinates into those by values, shape (p,).
     """
@@ -76,14 +73,11 @@ class Linear(NamedTuple):
         share = float(np.sum(weights)) / max(float(np.sum(weights[some])), 1e-300)
         coordinates = Coordinates.of(model, tuple(names))
         t = coordinates.inverse(model)
-        rows = (cloud.points[some], uv[some])
-        points, places = (np.concatenate(blocks(x)) for x in rows)
-        masses = np.concatenate(blocks(weights[some] * share, 0.0))
-        data = Data(jnp.asarray(points), jnp.asarray(masses), jnp.asarray(float(noise)))
-        here = programs.linearise_in_blocks(coordinates, data, t, places)
+        data = Data.of(cloud.points[some], weights[some] * share, noise)
+        here = linearise(coordinates, data, t, uv[some])
         slopes = np.asarray(coordinates.slopes(t))
         by_value = np.where(slopes > 0, 1 / np.where(slopes > 0, slopes, 1.0), 0.0)
-        return cls(data, places, here, by_value)
+        return cls(data, uv[some], here, by_value)
 
 
 def rows_of(end: Iterate, names: Sequence[str], cloud: PointCloud) -> Rows | None:
@@ -96,16 +90,15 @@ def rows_of(end: Iterate, names: Sequence[str], cloud: PointCloud) -> Rows | Non
     data, _, here, by_value = Linear.of(
         end.model, names, cloud, seen.weights, seen.noise, seen.uv, some
     )
-    count = len(some)
     return Rows(
-        np.asarray(here.position)[:count],
+        here.position,
         _cell(end, seen.uv[some]),
         seen.distance[some],
-        np.asarray(data.weights)[:count],
-        np.asarray(here.slopes)[:count] * by_value,
-        np.asarray(here.edge)[:count] * by_value,
+        data.weights,
+        here.slopes * by_value,
+        here.edge * by_value,
         seen.noise,
-        np.asarray(here.information) * np.outer(by_value, by_value),
+        here.information * np.outer(by_value, by_value),
     )
 
 

@@ -5,28 +5,36 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-from petalfit.compilation import bucket, pad_to
 from petalfit.fitting.coordinates import Coordinates
-from petalfit.fitting.likelihood import programs
 from petalfit.fitting.likelihood.foot_points import (
     guess_foot_points,
     nearer_foot_points,
     signed_distance,
     whole_distance,
 )
+from petalfit.fitting.likelihood.linearise import linearise, slopes_at
 from petalfit.fitting.likelihood.mixture import Mixture
 from petalfit.fitting.likelihood.observed import (
     AbstractObserved,
     Residuals,
     ScoreAndInformation,
 )
+from petalfit.fitting.likelihood.programs import beside, distances
 from petalfit.fitting.likelihood.scales import spread_of
 from petalfit.observations import PointCloud
-from petalfit.residuals import AbstractTerm, Data, TangentDistance, perturbation
+from petalfit.residuals import (
+    AbstractTerm,
+    Data,
+    TangentDistance,
+    frames,
+    perturbation,
+    places,
+    refine_foot_points,
+    slide_foot_points,
+)
 from petalfit.surfaces import AbstractSurface
 
 BIAS_POINTS = 6144  # this many points are enough to measure the bias
@@ -34,24 +42,12 @@ _ROUNDING = 1e-12  # smaller distances, relative to the largest coordinate, are 
 _FAR = 6.0  # typical distances, beyond which a foot point may be on the wrong fold
 
 
-def pad(
-    points: np.ndarray, weights: np.ndarray, noise: float | None, size: int | None = None
-) -> Data:
-    """A cloud padded to a size, by default a bucketed one; the padding repeats the first point."""
-    size = bucket(len(points)) if size is None else size
-    return Data(
-        jnp.asarray(pad_to(points, size)),
-        jnp.asarray(np.concatenate([weights, np.zeros(size - len(weights))])),
-        jnp.asarray(np.nan if noise is None else float(noise)),
-    )
-
-
 @dataclasses.dataclass(frozen=True)
 class ObservedCloud(AbstractObserved):
     """The likelihood of a cloud, as a solver uses it.
 
     Attributes:
-        data: The cloud, padded.
+        data: The cloud.
         sample: A part of the cloud that is large enough to measure the bias on; None for all of it.
         weigh: Finds the points that belong to a model, as the mixture of a background does, every time
             that points are matched; None if all of them do.
@@ -67,8 +63,8 @@ class ObservedCloud(AbstractObserved):
     ) -> ObservedCloud:
         """The cloud of points; the first ones in `order` are the sample that the bias is measured on."""
         some = order[:BIAS_POINTS]
-        sample = None if len(order) <= BIAS_POINTS else pad(points[some], weights[some], noise)
-        return cls(pad(points, weights, noise), sample)
+        sample = None if len(order) <= BIAS_POINTS else Data.of(points[some], weights[some], noise)
+        return cls(Data.of(points, weights, noise), sample)
 
     @classmethod
     def used(
@@ -87,54 +83,52 @@ class ObservedCloud(AbstractObserved):
     def misfit(self, model: AbstractSurface) -> float:
         """Mean logarithm of 1 + d², with d in hundredths of the cloud's extent."""
         term = self.match(model, None)
-        distance = programs.distances(model, self.data.points, term.uv)
-        return mean_logarithm(self.data, np.asarray(distance), np.asarray(self.data.weights))
+        apart = distances(model, self.data.points, term.uv)
+        return mean_logarithm(self.data, apart, self.data.weights)
 
-    def at(self, uv: Float[Array, "n 2"]) -> TangentDistance:
+    def at(self, uv: Float[np.ndarray, "n 2"]) -> TangentDistance:
         """The term of the cloud with these foot points, and noise as given or still to be estimated."""
         return TangentDistance(data=self.data, uv=uv, sigma=self.data.sigma)
 
     def match(self, model: AbstractSurface, term: AbstractTerm | None) -> TangentDistance:
         points = self.data.points
         if term is None:
-            uv = programs.refine(model, points, guess_foot_points(model, points), 2)
+            uv = refine_foot_points(model, points, guess_foot_points(model, points), 2)
             return self._weighed(model, self.at(uv))
         assert isinstance(term, TangentDistance)
-        uv = programs.refine(model, points, term.uv, 2)
+        uv = refine_foot_points(model, points, term.uv, 2)
         return self._weighed(model, dataclasses.replace(self.at(uv), sigma=term.sigma))
 
     def _weighed(self, model: AbstractSurface, term: TangentDistance) -> TangentDistance:
         """The term whose points count by the probability that they belong to the model."""
         if self.weigh is None:
             return term
-        weights = np.asarray(self.data.weights) * self._mixture(model, term).members
-        data = self.data._replace(weights=jnp.asarray(weights))
-        return dataclasses.replace(term, data=data)
+        weights = self.data.weights * self._mixture(model, term).members
+        return dataclasses.replace(term, data=self.data._replace(weights=weights))
 
     def _mixture(self, model: AbstractSurface, term: TangentDistance) -> Mixture:
         assert self.weigh is not None
         given = float(self.data.sigma)
         noise = None if np.isnan(given) else given
-        return self.weigh(model, *self.apart(model, term), np.asarray(self.data.weights), noise)
+        return self.weigh(model, *self.apart(model, term), self.data.weights, noise)
 
     def apart(
         self, model: AbstractSurface, term: TangentDistance
     ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-        """How far points are from the surface and beyond its edge, negative inside; of padding too.
+        """How far points are from the surface and beyond its edge, negative inside.
 
         See `whole_distance`.
         """
-        here, points = programs.frames(model, term.uv), self.data.points
-        distance, beyond = np.asarray(here.distance(points)), np.asarray(here.beyond(points))
-        off = np.asarray(points) - np.asarray(here.position)
-        return whole_distance(off, distance, beyond), np.max(beyond, axis=-1)
+        here, points = frames(model, term.uv), self.data.points
+        distance, beyond = here.distance(points), here.beyond(points)
+        return whole_distance(points - here.position, distance, beyond), np.max(beyond, axis=-1)
 
     def information(
         self, coordinates: Coordinates, t: np.ndarray, term: AbstractTerm
     ) -> tuple[np.ndarray, float]:
         assert isinstance(term, TangentDistance)
-        seen = programs.linearise(coordinates, term.data, t, term.uv)
-        return np.asarray(seen.information), float(seen.sigma)
+        seen = linearise(coordinates, term.data, t, term.uv)
+        return seen.information, seen.sigma
 
     def score_and_information(
         self, coordinates: Coordinates, t: np.ndarray, term: AbstractTerm
@@ -143,65 +137,61 @@ class ObservedCloud(AbstractObserved):
         assert isinstance(term, TangentDistance)
         data, model = term.data, coordinates.model(t)
         sample = data if self.sample is None or self.weigh is not None else self.sample
-        uv = programs.refine(model, data.points, term.uv, 1)
-        seen = programs.linearise(coordinates, data, t, uv)
-        places, position = uv, np.asarray(seen.position)
+        uv = refine_foot_points(model, data.points, term.uv, 1)
+        seen = linearise(coordinates, data, t, uv)
+        clean, position = uv, seen.position
         if sample is not data:
-            places = guess_foot_points(model, sample.points)
-            places = programs.refine(model, sample.points, places, 3)
-            position = np.asarray(programs.linearise(coordinates, sample, t, places).position)
-        noise = float(term.sigma) * perturbation(np.asarray(places))
-        weights = np.asarray(sample.weights)
+            clean = guess_foot_points(model, sample.points)
+            clean = refine_foot_points(model, sample.points, clean, 3)
+            position = places(model, clean)
+        noise = float(term.sigma) * perturbation(clean)
         score = np.zeros(len(t))
         for moved in (position + noise, position - noise):
-            around = sample._replace(points=jnp.asarray(moved))
-            near = programs.refine(model, moved, places, 3, around=False)
-            blurred = programs.linearise(coordinates, around, t, near)
-            score += np.asarray(blurred.slopes).T @ (weights * np.asarray(blurred.distance)) / 2
-        share = np.sum(weights) / np.sum(np.asarray(data.weights))
-        score /= share * float(seen.sigma) ** 2
-        information = np.asarray(seen.information)
+            near, _, _ = slide_foot_points(model, moved, clean, 3)
+            here = frames(model, near)
+            slopes = -slopes_at(coordinates, model, t, near, here.normal, here.position)
+            score += slopes.T @ (sample.weights * here.distance(moved)) / 2
+        share = np.sum(sample.weights) / np.sum(data.weights)
+        score /= share * seen.sigma**2
         term = dataclasses.replace(term, uv=uv)
-        return ScoreAndInformation(term, information, score, information)
+        return ScoreAndInformation(term, seen.information, score, seen.information)
 
     def residuals(
         self, coordinates: Coordinates, t: np.ndarray, term: AbstractTerm
     ) -> list[Residuals]:
         assert isinstance(term, TangentDistance)
         distance = signed_distance(*self.beside(coordinates, t, term))
-        weights = np.asarray(term.data.weights)
+        weights = term.data.weights
         chi2 = comparable(distance, weights)
         if self.weigh is not None:
             chi2 = -2 * self._mixture(coordinates.model(t), term).log_likelihood
-        uv = np.asarray(term.uv)
-        return [Residuals(distance, weights, float(term.sigma), "length", chi2, uv)]
+        return [Residuals(distance, weights, float(term.sigma), "length", chi2, term.uv)]
 
     def rematched(self, model: AbstractSurface, term: TangentDistance) -> TangentDistance | None:
         """The term with nearer foot points for some of the points far beyond the typical distance.
 
         None if there are no such points, or no nearer places for them.
         """
-        points, used = self.data.points, np.asarray(self.data.weights) > 0
-        distance = np.asarray(programs.distances(model, points, term.uv))
-        rounding = _ROUNDING * float(np.abs(np.asarray(points)).max())
+        points, used = self.data.points, self.data.weights > 0
+        distance = distances(model, points, term.uv)
+        rounding = _ROUNDING * float(np.abs(points).max())
         typical = max(spread_of(distance[used]), rounding)
         far = np.flatnonzero(used & (distance > _FAR * typical))
         if not len(far):
             return None
         uv = nearer_foot_points(model, points, term.uv, far)
-        return None if uv is None else self.at(jnp.asarray(uv))
+        return None if uv is None else self.at(uv)
 
     def beside(
         self, coordinates: Coordinates, t: np.ndarray, term: TangentDistance
     ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-        """Signed normal distances, and distances beyond the edge, negative inside; of padding too."""
-        seen = programs.linearise(coordinates, self.data, t, term.uv)
-        return np.asarray(seen.distance), np.max(np.asarray(seen.beyond), axis=-1)
+        """Signed normal distances, and distances beyond the edge, negative inside."""
+        return beside(coordinates.model(t), self.data.points, term.uv)
 
 
 def mean_logarithm(data: Data, distances: np.ndarray, weights: np.ndarray) -> float:
     """Mean logarithm of 1 + d², with d in hundredths of the cloud's extent; small if most d are small."""
-    extent = 0.01 * np.linalg.norm(np.ptp(np.asarray(data.points), axis=0))
+    extent = 0.01 * np.linalg.norm(np.ptp(data.points, axis=0))
     return float(np.average(np.log1p((distances / extent) ** 2), weights=weights))
 
 

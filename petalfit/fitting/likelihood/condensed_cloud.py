@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-from petalfit.compilation import BLOCK, bucket, pad_to
 from petalfit.fitting.coordinates import Coordinates
-from petalfit.fitting.likelihood import programs
 from petalfit.fitting.likelihood.cells import Cells, condense
-from petalfit.fitting.likelihood.cloud import ObservedCloud, comparable, pad
+from petalfit.fitting.likelihood.cloud import ObservedCloud, comparable
 from petalfit.fitting.likelihood.foot_points import signed_distance
 from petalfit.fitting.likelihood.observed import Residuals
+from petalfit.fitting.likelihood.programs import beside
 from petalfit.residuals import AbstractTerm, Data, TangentDistance
 from petalfit.surfaces import AbstractSurface
 
@@ -22,7 +20,6 @@ from petalfit.surfaces import AbstractSurface
 CELLS = Cells(128, 12, 0.25, inside=3.0)
 # Points of a cloud that is not condensed: to condense fewer takes as long as to use them.
 ENOUGH = 24576
-_SIZE = 12288  # to which they are padded once condensed
 _ROUNDING = 1e-9  # smaller noise, relative to the extent, is no noise
 
 
@@ -37,7 +34,7 @@ class CondensedCloud(ObservedCloud):
         points: All points, shape (n, 3).
         weights: The number of observations that each counts for, shape (n,).
         foot_points: Their foot points, shape (n, 2).
-        places: The places of the points in `data`, with those of the padding, shape (m, 2).
+        places: The places of the points in `data`, shape (m, 2).
     """
 
     points: Float[np.ndarray, "n 3"] = dataclasses.field(kw_only=True)
@@ -71,39 +68,35 @@ class CondensedCloud(ObservedCloud):
         if noise is None:
             variance = few.squares / max(float(np.sum(weights)) - free, 1.0)
             noise = max(np.sqrt(variance), _ROUNDING * float(np.max(np.abs(points))))
-        size = max(_SIZE, bucket(len(few.points)))
-        data = pad(few.points, few.weights, noise, size)
+        data = Data.of(few.points, few.weights, noise)
         return cls(
             data,
             sample,
             points=points,
             weights=weights,
             foot_points=few.foot_points,
-            places=pad_to(few.uv, size),
+            places=few.uv,
         )
 
     @property
     def count(self) -> int:
         """The number of points that stand for all."""
-        return int(np.count_nonzero(self.data.weights))
+        return len(self.data.points)
 
-    def at(self, uv: Float[Array, "n 2"]) -> TangentDistance:
+    def at(self, uv: Float[np.ndarray, "n 2"]) -> TangentDistance:
         return dataclasses.replace(super().at(uv), everywhere=True)
 
     @property
     def start(self) -> TangentDistance:
         """The term with the places where the cloud was condensed."""
-        return self.at(jnp.asarray(self.places))
+        return self.at(self.places)
 
     def residuals(
         self, coordinates: Coordinates, t: np.ndarray, term: AbstractTerm
     ) -> list[Residuals]:
         """The residuals of all points, at the foot points that they had when they were condensed."""
-        size = len(self.points)
-        rows = -(-size // BLOCK) * BLOCK
-        points, uv = (pad_to(x, rows) for x in (self.points, self.foot_points))
-        beside = programs.beside(coordinates.model(t), points, uv)
-        distance = signed_distance(*(np.asarray(x)[:size] for x in beside))
+        found = beside(coordinates.model(t), self.points, self.foot_points)
+        distance = signed_distance(*found)
         chi2 = comparable(distance, self.weights)
         noise = float(term.sigma)
         return [Residuals(distance, self.weights, noise, "length", chi2, self.foot_points)]

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy.ndimage import minimum_filter
 
-from petalfit.compilation import bucket, pad_to
 from petalfit.components import Posed
 from petalfit.fitting.likelihood import programs
+from petalfit.residuals import nearest_nodes, places, refine_foot_points, slide_foot_points
 from petalfit.surfaces import AbstractMap, AbstractSurface
 
 _NEARER = 0.9  # another fold must bring the distance below this part of it
@@ -19,26 +18,24 @@ _SOUGHT = 16  # number of doubtful points, the farthest, whose foot points are s
 
 def guess_foot_points(
     model: AbstractSurface, points: Float[Array | np.ndarray, "n 3"]
-) -> Float[Array, "n 2"]:
+) -> Float[np.ndarray, "n 2"]:
     """Guesses (u, v) of foot points, from which the search for them begins.
 
     If the surface has a shadow in its plane, the guesses lie straight below or above the points. From the
     nearest place of the surface itself, many searches would end on the wrong wave.
     """
     if isinstance(model, Posed) and model.surface.shadow is not None:
-        return straight_below(
-            model.surface.shadow, jnp.asarray(model.placement.into(np.asarray(points)))
-        )
+        return straight_below(model.surface.shadow, model.placement.into(np.asarray(points)))
     shadow = model.shadow
     if shadow is None:
-        return programs.refine(model, points, programs.nearest(model, points), 6)
+        return refine_foot_points(model, points, nearest_nodes(model, points), 6)
     return straight_below(shadow, points)
 
 
 def nearer_foot_points(
     model: AbstractSurface,
-    points: Float[Array, "n 3"],
-    uv: Float[Array, "n 2"],
+    points: Float[np.ndarray, "n 3"],
+    uv: Float[np.ndarray, "n 2"],
     doubtful: Int[np.ndarray, " k"],
 ) -> Float[np.ndarray, "n 2"] | None:
     """Searches for the foot points of doubtful points again, on all folds of the surface.
@@ -60,18 +57,16 @@ def nearer_foot_points(
         surface, own = model.surface, model.placement.into(own)
     grid = [np.linspace(*side, _GRID) for side in surface.domain]
     nodes = np.stack(np.meshgrid(*grid, indexing="ij"), axis=-1)
-    places = np.asarray(programs.places(surface, nodes.reshape(-1, 2))).reshape(_GRID, _GRID, 3)
+    fine = places(surface, nodes.reshape(-1, 2)).reshape(_GRID, _GRID, 3)
     found, moved = np.array(uv), False
-    before = np.asarray(programs.distances(surface, own, uv))
+    before = programs.distances(surface, own, uv)
     for k in doubtful[np.argsort(-before[doubtful])][:_SOUGHT]:
-        squared = np.sum((places - own[k]) ** 2, axis=-1)
+        squared = np.sum((fine - own[k]) ** 2, axis=-1)
         minima = np.argwhere(squared == minimum_filter(squared, 3, mode="nearest"))
-        minima = minima[np.argsort(squared[tuple(minima.T)])][: len(own)]
-        # Starts are refined point by point, in arrays of a shape for which programs are compiled already.
-        starts = pad_to(nodes[tuple(minima.T)], len(own))
-        same = np.tile(own[k], (len(own), 1))
-        ends = np.asarray(programs.refine(surface, same, starts, 12, around=False))
-        reached = np.asarray(programs.distances(surface, same, ends))
+        starts = nodes[tuple(minima.T)]
+        same = np.tile(own[k], (len(starts), 1))
+        ends, _, _ = slide_foot_points(surface, same, starts, 12)
+        reached = programs.distances(surface, same, ends)
         best = int(np.argmin(reached))
         if reached[best] < _NEARER * before[k]:
             found[k], moved = ends[best], True
@@ -80,10 +75,10 @@ def nearer_foot_points(
 
 def straight_below(
     shadow: AbstractMap, points: Float[Array | np.ndarray, "n 3"]
-) -> Float[Array, "n 2"]:
+) -> Float[np.ndarray, "n 2"]:
     """(u, v) of the places in the plane z = 0 that lie straight below or above the points."""
     below = np.asarray(points) * np.array([1.0, 1.0, 0.0])
-    return programs.refine(shadow, below, programs.nearest(shadow, below), 6)
+    return refine_foot_points(shadow, below, nearest_nodes(shadow, below), 6)
 
 
 def signed_distance(
@@ -125,8 +120,5 @@ def distances_beside(
 
     Call it inside `jax.enable_x64(True)`.
     """
-    padded = jnp.asarray(pad_to(points, bucket(len(points))))
-    uv = programs.refine(surface, padded, guess_foot_points(surface, padded), 3)
-    distance, beyond = map(np.asarray, programs.beside(surface, padded, uv))
-    n = len(points)
-    return distance[:n], beyond[:n], np.asarray(uv)[:n]
+    uv = refine_foot_points(surface, points, guess_foot_points(surface, points), 3)
+    return *programs.beside(surface, points, uv), uv

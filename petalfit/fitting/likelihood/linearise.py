@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-from petalfit.fitting.coordinates import Coordinates
-from petalfit.residuals import Data, edge_score, estimate_sigma, frame, pull_back
+from petalfit.fitting.coordinates import Coordinates, Numbers
+from petalfit.residuals import (
+    ContourDistance,
+    Data,
+    edge_score,
+    estimated_noise,
+    frames,
+    places,
+    pulled,
+)
+from petalfit.surfaces import AbstractSurface
 
 
 class Linearisation(NamedTuple):
@@ -29,51 +36,72 @@ class Linearisation(NamedTuple):
             Jacobian, points near the edge by the square of their score.
     """
 
-    position: Float[Array, "n 3"]
-    normal: Float[Array, "n 3"]
-    distance: Float[Array, " n"]
-    slopes: Float[Array, "n p"]
-    edge: Float[Array, "n p"]
-    beyond: Float[Array, "n 2"]
-    sigma: Float[Array, ""]
-    information: Float[Array, "p p"]
+    position: Float[np.ndarray, "n 3"]
+    normal: Float[np.ndarray, "n 3"]
+    distance: Float[np.ndarray, " n"]
+    slopes: Float[np.ndarray, "n p"]
+    edge: Float[np.ndarray, "n p"]
+    beyond: Float[np.ndarray, "n 2"]
+    sigma: float
+    information: Float[np.ndarray, "p p"]
+
+
+def slopes_at(
+    coordinates: Coordinates,
+    model: AbstractSurface,
+    t: Float[np.ndarray, " p"],
+    uv: Float[Numbers, "m 2"],
+    covectors: Float[Numbers, "m 3"],
+    position: Float[np.ndarray, "m 3"],
+) -> Float[np.ndarray, "m p"]:
+    """The derivatives of w·S(u, v) with respect to t, for places on the model at t.
+
+    Args:
+        coordinates: The free parameters.
+        model: The model at t.
+        t: Coordinates of the free parameters.
+        uv: The places.
+        covectors: A covector w for each place.
+        position: The positions S of the places.
+    """
+    slopes = pulled(model, uv, np.asarray(covectors), coordinates.free, position)
+    return slopes * coordinates.slopes(t)
+
+
+def contour_slopes(
+    coordinates: Coordinates, t: Float[np.ndarray, " p"], term: ContourDistance
+) -> Float[np.ndarray, "n p"]:
+    """Derivatives with respect to t of a contour's residuals, in units of its noise."""
+    model = coordinates.model(t)
+    position = places(model, term.uv)
+    return slopes_at(coordinates, model, t, term.uv, term.covectors(position), position)
 
 
 def linearise(
-    coordinates: Coordinates, data: Data, t: Float[Array, " p"], uv: Float[Array, "n 2"]
+    coordinates: Coordinates, data: Data, t: Float[np.ndarray, " p"], uv: Float[Numbers, "n 2"]
 ) -> Linearisation:
     """Linearises the distances of a cloud to the surface at t, at given foot points."""
     model = coordinates.model(t)
-    here = frame(model, uv)
+    here = frames(model, uv)
     distance, beyond = here.distance(data.points), here.beyond(data.points)
-    sigma = estimate_sigma(data, distance, len(t))
+    sigma = estimated_noise(data, distance, len(t))
     score = edge_score(beyond / sigma)
-    edge = jnp.sum(score[..., None] * here.conormals, axis=1)
-    pulled = pull_back(model, jnp.tile(uv, (2, 1)), -jnp.concatenate([here.normal, edge]))
-    slopes = coordinates.gather(pulled) * coordinates.slopes(t)
-    rows = slopes * (jnp.sqrt(jnp.tile(data.weights, 2)) / sigma)[:, None]
-    information = rows.T @ rows
+    edge = np.sum(score[..., None] * here.conormals, axis=1)
+    slopes, edge = (
+        -slopes_at(coordinates, model, t, uv, w, here.position) for w in (here.normal, edge)
+    )
+    root = (np.sqrt(data.weights) / sigma)[:, None]
+    information = np.sum([(root * x).T @ (root * x) for x in (slopes, edge)], axis=0)
     # The second derivative of −log Φ(−e) is h(h − e), with h the first one.
-    excess = jnp.max(score, axis=1) - jnp.max(beyond, axis=1) / sigma
-    bent = jnp.where(jnp.max(score, axis=1) > 0, jnp.maximum(excess, 0.0), 0.0)
+    excess = np.max(score, axis=1) - np.max(beyond, axis=1) / sigma
+    bent = np.where(np.max(score, axis=1) > 0, np.maximum(excess, 0.0), 0.0)
     return Linearisation(
         here.position,
         here.normal,
         distance,
-        slopes[: len(uv)],
-        slopes[len(uv) :] * bent[:, None],
+        slopes,
+        edge * bent[:, None],
         beyond,
         sigma,
         information,
     )
-
-
-def together(parts: Sequence[Linearisation]) -> Linearisation:
-    """The linearisation of several blocks of points at once."""
-    rows = {
-        name: jnp.asarray(np.concatenate([getattr(part, name) for part in parts]))
-        for name in Linearisation._fields
-        if name not in ("sigma", "information")
-    }
-    information = jnp.asarray(np.sum([part.information for part in parts], axis=0))
-    return parts[0]._replace(**rows, information=information)

@@ -7,12 +7,10 @@ from collections.abc import Sequence
 from functools import cached_property
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
-from petalfit.compilation import bucket, pad_to
 from petalfit.fitting.likelihood.scales import spread_of
 from petalfit.observations import Contour
 from petalfit.residuals import ContourDistance
@@ -196,14 +194,7 @@ def rows(contour: Contour, match: Match, root: np.ndarray) -> Rows:
     return Rows(match.uv, plane, np.tile(matrix[2], (len(plane), 1)), root)
 
 
-def padded(parts: Sequence[Rows]) -> ContourDistance:
-    """The term of all rows in sequence, padded to a bucketed size by copies of the first of weight 0."""
+def term_of_rows(parts: Sequence[Rows]) -> ContourDistance:
+    """The term of all rows in sequence."""
     uv, plane, depth, root = map(np.concatenate, zip(*parts, strict=True))
-    size = bucket(len(root))
-    return ContourDistance(
-        uv=jnp.asarray(pad_to(uv, size)),
-        plane=jnp.asarray(pad_to(plane, size)),
-        depth=jnp.asarray(pad_to(depth, size)),
-        root=jnp.asarray(np.concatenate([root, np.zeros(size - len(root))])),
-        sigma=jnp.asarray(1.0),
-    )
+    return ContourDistance(uv=uv, plane=plane, depth=depth, root=root, sigma=1.0)

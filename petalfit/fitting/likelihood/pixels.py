@@ -17,8 +17,8 @@ import numpy as np
 from jaxtyping import Float
 
 from petalfit.fitting.coordinates import Coordinates
-from petalfit.fitting.likelihood import programs
-from petalfit.fitting.likelihood.matching import Match, MatchedOutline, View, padded, rows
+from petalfit.fitting.likelihood.linearise import contour_slopes
+from petalfit.fitting.likelihood.matching import Match, MatchedOutline, View, rows, term_of_rows
 from petalfit.observations import Contour, trace
 from petalfit.surfaces import AbstractSurface, Outline, coverage, outline, outline_rings
 
@@ -156,8 +156,8 @@ def _slopes(coordinates: Coordinates, t: np.ndarray, contour: Contour, seen: Out
     count = len(seen.uv)
     every = np.arange(count)
     match = Match(seen.uv, seen.place, seen.normal, seen.place, seen.length, every >= 0, every)
-    term = padded([rows(contour, match, np.ones(count))])
-    return np.asarray(programs.contour_slopes(coordinates, t, term))[:count]
+    term = term_of_rows([rows(contour, match, np.ones(count))])
+    return contour_slopes(coordinates, t, term)
 
 
 def _pictures(scorer: _Scorer, shifts: np.ndarray) -> list[Match]:

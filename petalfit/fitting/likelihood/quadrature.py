@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from petalfit.fitting.likelihood import programs
+from petalfit.residuals import places
 from petalfit.surfaces import AbstractSurface
 
 SHAPE = (25, 33)
@@ -29,8 +29,8 @@ class Quadrature(NamedTuple):
         """The quadrature over any surface."""
         u, v = (np.linspace(*side, n) for side, n in zip(model.domain, SHAPE, strict=True))
         uv = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
-        places = np.asarray(programs.places(model, uv))
-        return cls(places, areas_around(places.reshape(*SHAPE, 3)))
+        nodes = places(model, uv)
+        return cls(nodes, areas_around(nodes.reshape(*SHAPE, 3)))
 
 
 def areas_around(grid: Float[np.ndarray, "n_u n_v 3"]) -> Float[np.ndarray, "n_u n_v"]:

@@ -15,11 +15,11 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy.spatial import KDTree
 
-from petalfit.compilation import Program, blocks, pad_to
+from petalfit.compilation import Program, pad_to
 from petalfit.compilation.stopwatch import unwatched
 from petalfit.fitting.coordinates import Numbers
-from petalfit.fitting.likelihood import programs
 from petalfit.fitting.likelihood.foot_points import whole_distance
+from petalfit.residuals import places
 from petalfit.surfaces import AbstractSurface
 
 _NODES = (257, 193)  # of the grid on which foot points are looked up
@@ -77,9 +77,7 @@ class Relief:
         domain = np.array(surface.domain, float)
         index = np.stack(np.meshgrid(*map(np.arange, _NODES), indexing="ij"), axis=-1)
         uv = _place(index.reshape(-1, 2).astype(float), domain)
-        calls = [(surface, part) for part in blocks(uv)]
-        found = [np.asarray(part) for part in programs.places.map(calls)]
-        grid = np.concatenate(found)[: len(uv)].reshape(*_NODES, 3)
+        grid = places(surface, uv).reshape(*_NODES, 3)
         by_u, by_w = _slope(grid, 0), _slope(grid, 1)
         patches = [grid, by_u, by_w, _slope(by_u, 0), _slope(by_u, 1), _slope(by_w, 1)]
         tree = KDTree(grid.reshape(-1, 3), balanced_tree=False, compact_nodes=False)

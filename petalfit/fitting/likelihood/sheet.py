@@ -30,10 +30,10 @@ from jaxtyping import Array, Float, Int
 
 from petalfit.compilation import Program, blocks
 from petalfit.fitting.coordinates import Box
-from petalfit.fitting.likelihood import programs
 from petalfit.fitting.likelihood.emptiness import Emptiness
+from petalfit.fitting.likelihood.programs import beside, distances
 from petalfit.fitting.likelihood.spans import Spans, between, by_coordinates, spans_of
-from petalfit.residuals import frame, least_places, potential, slide_foot_points
+from petalfit.residuals import least_places, nearest_nodes, potential, slide_foot_points
 from petalfit.surfaces import AbstractSurface, position_and_tangents
 
 NUISANCES = 2  # coordinates after those of the parameters: log σ and log τ/σ
@@ -114,14 +114,11 @@ class Sheet:
 
     def nearest(self, surface: AbstractSurface) -> Float[np.ndarray, "m 2"]:
         """Coarse places of all points and of the padding: the nearest of 17 × 17 nodes."""
-        calls = [(surface, points) for points in self._blocks]
-        return np.concatenate([np.asarray(uv) for uv in programs.nearest.map(calls)])
+        return nearest_nodes(surface, np.concatenate(self._blocks))
 
     def spread(self, surface: AbstractSurface, places: Float[np.ndarray, "m 2"]) -> float:
         """The root mean square distance of the points from places on a surface."""
-        calls = zip(self._blocks, blocks(places), strict=True)
-        apart = programs.distances.map([(surface, *pair) for pair in calls])
-        square = np.concatenate([np.asarray(part) for part in apart])[: len(self.points)] ** 2
+        square = distances(surface, self.points, places[: len(self.points)]) ** 2
         return float(np.sqrt(np.average(square, weights=self.weights) + 1e-300))
 
     def beside(
@@ -133,11 +130,9 @@ class Sheet:
             surface: The surface.
             places: Places near the foot points, with those of the padding.
         """
-        calls = zip(self._blocks, blocks(places), strict=True)
-        found = _beside.map([(surface, *pair) for pair in calls])
-        rows = (np.concatenate([np.asarray(x) for x in part]) for part in zip(*found, strict=True))
-        distance, beyond, uv = (row[: len(self.points)] for row in rows)
-        return distance, beyond, uv
+        start = np.clip(places[: len(self.points)], *np.array(surface.domain).T)
+        uv, _, _ = slide_foot_points(surface, self.points, start, SEARCH)
+        return *beside(surface, self.points, uv), uv
 
     @cached_property
     def _emptiness(self) -> Emptiness:
@@ -155,18 +150,6 @@ class Sheet:
     @cached_property
     def _weights(self) -> list[np.ndarray]:
         return blocks(self.weights, 0.0)
-
-
-def _distances_beside(
-    surface: AbstractSurface, points: Float[Array, "n 3"], places: Float[Array, "n 2"]
-) -> tuple[Float[Array, " n"], Float[Array, " n"], Float[Array, "n 2"]]:
-    low, high = (jnp.asarray(side, float) for side in zip(*surface.domain, strict=True))
-    uv = slide_foot_points(surface, points, jnp.clip(places, low, high), SEARCH)
-    here = frame(surface, uv)
-    return here.distance(points), jnp.max(here.beyond(points), axis=-1), uv
-
-
-_beside = Program(_distances_beside)
 
 
 class _Noise(NamedTuple):

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from petalfit.fitting.coordinates import Coordinates
-from petalfit.fitting.likelihood import programs
-from petalfit.fitting.likelihood.matching import View, padded, rows
+from petalfit.fitting.likelihood.linearise import contour_slopes
+from petalfit.fitting.likelihood.matching import View, rows, term_of_rows
 from petalfit.fitting.likelihood.observed import (
     AbstractObserved,
     Residuals,
@@ -39,13 +39,13 @@ class ObservedViews(AbstractObserved):
             # Both directions carry the same information: together they count once.
             share = view.cauchy_weight(match, noise) / (2 * view.correlated(match, noise))
             parts.append(rows(view.contour, match, np.sqrt(match.length * share) / noise))
-        return padded(parts)
+        return term_of_rows(parts)
 
     def information(
         self, coordinates: Coordinates, t: np.ndarray, term: AbstractTerm
     ) -> tuple[np.ndarray, float]:
         assert isinstance(term, ContourDistance)
-        slopes = np.asarray(programs.contour_slopes(coordinates, t, term))
+        slopes = contour_slopes(coordinates, t, term)
         return slopes.T @ slopes, 1.0
 
     def score_and_information(

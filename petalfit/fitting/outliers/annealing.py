@@ -8,19 +8,17 @@ from __future__ import annotations
 
 import dataclasses
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-from petalfit.compilation import bucket, pad_to
 from petalfit.fitting.coordinates import Coordinates, Prior
-from petalfit.fitting.likelihood.cloud import ObservedCloud, pad
+from petalfit.fitting.likelihood.cloud import ObservedCloud
 from petalfit.fitting.likelihood.foot_points import signed_distance
 from petalfit.fitting.likelihood.scales import geman_mcclure, spread_of
 from petalfit.fitting.outliers.loss import AbstractBackground
 from petalfit.fitting.solver.alternate import minimise
 from petalfit.fitting.solver.iterate import Iterate
-from petalfit.residuals import TangentDistance
+from petalfit.residuals import Data, TangentDistance
 from petalfit.surfaces import AbstractSurface
 
 # Scales of the kernel in robust standard deviations of the distances, and the factor between two of them.
@@ -52,11 +50,11 @@ def approach(
     Returns:
         The end, with the mixture of its points.
     """
-    cloud = ObservedCloud(pad(points, weights, None))
-    term, scale, n = cloud.match(model, None), np.inf, len(points)
+    cloud = ObservedCloud(Data.of(points, weights, None))
+    term, scale = cloud.match(model, None), np.inf
     least = _EXACT * float(np.linalg.norm(np.ptp(points, axis=0)))
     while True:
-        distance = signed_distance(*cloud.apart(model, term))[:n]
+        distance = signed_distance(*cloud.apart(model, term))
         narrowest = max(_NARROWEST * spread_of(distance), least)
         scale = min(_WIDEST / _NARROWEST * narrowest, scale)
         kept = weights * geman_mcclure(distance, max(scale, narrowest))
@@ -91,17 +89,15 @@ def clear(
     Returns:
         The end, with the mixture of its points.
     """
-    cloud = ObservedCloud(pad(points, weights, noise))
-    term, rounds, members, count = cloud.match(model, None), 0, None, 0
+    cloud = ObservedCloud(Data.of(points, weights, noise))
+    term, rounds, members = cloud.match(model, None), 0, None
     while True:
         found = background.mixture(model, *cloud.apart(model, term), weights, noise)
         kept = weights * found.members
-        # Only points that may belong to the surface take part in the steps; always as many, so that
-        # no other program is compiled.
-        count = count or min(len(points), bucket(int(np.sum(kept > _NONE * np.max(kept)))))
-        some = np.sort(np.argpartition(-kept, count - 1)[:count])
+        # Only points that may belong to the surface take part in the steps.
+        some = np.flatnonzero(kept > _NONE * np.max(kept))
         end = _followed(
-            coordinates, model, points[some], kept[some], noise, np.asarray(term.uv)[some],
+            coordinates, model, points[some], kept[some], noise, term.uv[some],
             _AT_ONCE, _TOLERANCE, prior,
         )  # fmt: skip
         rounds, model = rounds + end.rounds, end.model
@@ -110,7 +106,7 @@ def clear(
         members = found.members
         settled = end.moved <= _TOLERANCE and changed < _UNCHANGED
         if settled or rounds >= _ROUNDS:
-            whole = TangentDistance(data=pad(points, kept, noise), uv=term.uv, sigma=term.sigma)
+            whole = TangentDistance(data=Data.of(points, kept, noise), uv=term.uv, sigma=term.sigma)
             return dataclasses.replace(end, terms=(whole,), rounds=rounds, mixture=found)
 
 
@@ -120,15 +116,14 @@ def _followed(
     points: Float[np.ndarray, "n 3"],
     weights: Float[np.ndarray, " n"],
     noise: float | None,
-    uv: Float[Array | np.ndarray, "_ 2"],
+    uv: Float[np.ndarray, "n 2"],
     rounds: int,
     tolerance: float,
     prior: Prior | None = None,
 ) -> Iterate:
     """The end of a few rounds of the solver on points with these weights."""
-    seen = ObservedCloud(pad(points, weights, noise))
-    term = seen.at(jnp.asarray(pad_to(np.asarray(uv), len(seen.data.points))))
-    return minimise(coordinates, [seen], model, [term], rounds, tolerance, prior)
+    seen = ObservedCloud(Data.of(points, weights, noise))
+    return minimise(coordinates, [seen], model, [seen.at(uv)], rounds, tolerance, prior)
 
 
 def term_of(end: Iterate) -> TangentDistance:

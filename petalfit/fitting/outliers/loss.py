@@ -20,8 +20,8 @@ class AbstractBackground(abc.ABC):
     def mixture(
         self,
         model: AbstractSurface,
-        distance: Float[np.ndarray, " padded"],
-        beyond: Float[np.ndarray, " padded"],
+        distance: Float[np.ndarray, " n"],
+        beyond: Float[np.ndarray, " n"],
         weights: Float[np.ndarray, " n"],
         noise: float | None,
     ) -> Mixture:
@@ -29,8 +29,7 @@ class AbstractBackground(abc.ABC):
 
         Args:
             model: The surface.
-            distance: Normal distances. Both `distance` and `beyond` may be longer than `weights`; the
-                rest belongs to padding.
+            distance: Normal distances.
             beyond: Distance of each point beyond the edge, negative inside.
             weights: The number of observations that each point counts for.
             noise: σ of the distances, or None to estimate it.

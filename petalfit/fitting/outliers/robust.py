@@ -42,7 +42,7 @@ class Clutter(AbstractBackground):
         weights: np.ndarray,
         noise: float | None,
     ) -> Mixture:
-        distance, beyond = np.abs(distance[: len(weights)]), beyond[: len(weights)]
+        distance = np.abs(distance)
         start = spread_of(distance) if noise is None else noise
         area = float(np.sum(Quadrature.of(model).area))
         return mixture(distance, beyond, weights, self.volume, area, start, noise is not None)

@@ -7,11 +7,11 @@ import dataclasses
 import numpy as np
 
 from petalfit.fitting.coordinates import Coordinates
-from petalfit.fitting.likelihood import programs
-from petalfit.fitting.likelihood.cloud import ObservedCloud, pad
-from petalfit.fitting.likelihood.foot_points import guess_foot_points
+from petalfit.fitting.likelihood.foot_points import guess_foot_points, signed_distance
+from petalfit.fitting.likelihood.programs import beside
 from petalfit.fitting.solver.iterate import Iterate
 from petalfit.observations import PointCloud
+from petalfit.residuals import refine_foot_points
 
 
 def with_all_points(
@@ -21,7 +21,7 @@ def with_all_points(
 
     Args:
         coordinates: The free parameters.
-        end: The end. Its residuals are those of the points with weight, followed by padding.
+        end: The end. Its residuals are those of the points with weight.
         number: The index of the cloud among the observations.
         cloud: The cloud.
     """
@@ -34,15 +34,9 @@ def with_all_points(
     distance[used], uv[used] = seen.distance[:count], seen.uv[:count]
     weights[used] = seen.weights[:count]
     if count < size:
-        data = pad(cloud.points[~used], np.ones(size - count), seen.noise)
-        uv_rest = programs.refine(
-            end.model, data.points, guess_foot_points(end.model, data.points), 3
-        )
-        others = ObservedCloud(data)
-        t = coordinates.inverse(end.model)
-        (rest,) = others.residuals(coordinates, t, others.at(uv_rest))
-        assert rest.uv is not None
-        distance[~used], uv[~used] = rest.distance[: size - count], rest.uv[: size - count]
+        model, points = end.model, cloud.points[~used]
+        uv[~used] = refine_foot_points(model, points, guess_foot_points(model, points), 3)
+        distance[~used] = signed_distance(*beside(model, points, uv[~used]))
     seen = seen._replace(distance=distance, weights=weights, uv=uv)
     parts = (*end.residuals[:number], seen, *end.residuals[number + 1 :])
     return dataclasses.replace(end, residuals=parts)

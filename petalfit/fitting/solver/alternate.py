@@ -1,4 +1,4 @@
-"""Alternation of matching and solving: a search for foot points, then rounds of the compiled solver."""
+"""Alternation of matching and solving: a search for foot points, then rounds of the solver."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from petalfit.fitting.coordinates import Coordinates, Prior
 from petalfit.fitting.likelihood.observed import AbstractObserved
 from petalfit.fitting.solver.iterate import Iterate
 from petalfit.fitting.solver.observer import show
-from petalfit.fitting.solver.solve import compiled_solve
+from petalfit.fitting.solver.solve import solve
 from petalfit.residuals import AbstractTerm
 from petalfit.surfaces import AbstractSurface
 
@@ -62,15 +62,15 @@ def minimise(
             whitening = whiten(information)
         few = every or (2 if rounds < _MATCHING_ROUNDS else max_rounds)
         few = min(few, max_rounds - rounds)
-        state = compiled_solve(coordinates, tuple(terms), prior, t, whitening, few, tolerance)
-        step, terms = np.asarray(state.t) - t, list(state.terms)
+        state = solve(coordinates, tuple(terms), prior, t, whitening, few, tolerance)
+        step, terms = state.t - t, list(state.terms)
         if every is not None and rounds >= _WHOLE_STEPS:
             # If matches jump to and fro, ever shorter steps converge to the mean of the states.
             step = step / (rounds - _WHOLE_STEPS + 2)
-        whitening = float(state.shrunk) * whitening
+        whitening = state.shrunk * whitening
         moved = float(np.max(np.abs(np.linalg.solve(whitening, step))))
         t = t + step
-        rounds += int(state.rounds)
+        rounds += state.rounds
         model = coordinates.model(t)
         show(model, terms)
         if not moved > tolerance or rounds >= max_rounds:

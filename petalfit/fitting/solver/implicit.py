@@ -10,24 +10,21 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
+import optimistix as optx
 from jaxtyping import Array, Float
 
-from petalfit.fitting.coordinates import Coordinates, Prior
-from petalfit.fitting.likelihood.linearise import linearise
-from petalfit.fitting.solver.solve import solve
+from petalfit.fitting.coordinates import Coordinates
 from petalfit.residuals import (
     EDGE_NODES,
     Data,
-    TangentDistance,
     edge_nodes,
     edge_pull,
     edge_score,
-    estimate_sigma,
     frame,
     half_squared_distance,
     limits,
+    newton,
     pull_back,
-    slide_foot_points,
 )
 from petalfit.surfaces import AbstractSurface
 
@@ -37,46 +34,46 @@ def solve_differentiably(
     data: Data,
     t: Float[Array, " p"],
     uv: Float[Array, "n 2"],
-    max_rounds: int = 100,
-    tolerance: float = 1e-8,
+    max_steps: int = 100,
+    tolerance: float = 1e-10,
 ) -> Float[Array, " p"]:
-    """`solve` as a differentiable function of `data` and of the fixed parameters.
+    """The end of a fit as a differentiable function of `data` and of the fixed parameters.
 
     Args:
         coordinates: The free parameters and the model that they belong to.
-        data: The cloud; derivatives flow to its points, weights and, if given, its noise.
+        data: The cloud, in arrays of jax; derivatives flow to its points, weights and, if given, its
+            noise.
         t: Coordinates to start from, near the minimum.
         uv: Foot points to start from.
-        max_rounds: Upper bound of the rounds; the theorem holds for a converged fit only.
-        tolerance: Stop when the step is at most this many standard errors in every direction.
+        max_steps: Upper bound of the steps; the theorem holds for a converged fit only.
+        tolerance: Stop when t and the gradient of the cost change by less than this, relative to 1 and
+            to their size.
 
     Returns:
         The coordinates t of the minimum; `coordinates.values` turns them into parameters.
     """
-    held = jax.lax.stop_gradient((coordinates, data, t, uv))
-    seen = linearise(*held)
-    term = TangentDistance(data=held[1], uv=held[3], sigma=seen.sigma)
-    root = jnp.linalg.cholesky(seen.information + jnp.eye(len(t)))
-    whitening = jnp.linalg.inv(root).T
-    prior = Prior(jnp.zeros_like(t), jnp.zeros_like(t))
-    settled = solve(held[0], (term,), prior, held[2], whitening, max_rounds, tolerance)
-    settled = jax.lax.stop_gradient(settled)
-    (term,) = settled.terms
-    assert isinstance(term, TangentDistance)
+    start, uv = jax.lax.stop_gradient((t, uv))
+    leaves, structure = jax.tree.flatten((coordinates, data))
 
-    def gradient(t: Array) -> Array:
-        return cost_gradient(coordinates, data, t, term.uv)
+    def gradient(t: Array, leaves: list[Array]) -> Array:
+        coordinates, data = jax.tree.unflatten(structure, leaves)
+        return cost_gradient(coordinates, data, t, uv)
 
-    def tangent_solve(linear, rhs: Array) -> Array:
-        return jnp.linalg.solve(jax.vmap(linear, out_axes=1)(jnp.eye(len(rhs))), rhs)
-
-    return jax.lax.custom_root(gradient, settled.t, lambda _, start: start, tangent_solve)
+    found = optx.root_find(
+        gradient,
+        optx.Dogleg(rtol=tolerance, atol=tolerance),
+        start,
+        args=leaves,
+        max_steps=max_steps,
+        throw=False,
+    )
+    return found.value
 
 
 def cost_gradient(
     coordinates: Coordinates, data: Data, t: Float[Array, " p"], uv: Float[Array, "n 2"]
 ) -> Float[Array, " p"]:
-    """Gradient of the cost that `solve` minimises, with differentiable foot points.
+    """Gradient of the cost that a fit minimises, with differentiable foot points.
 
     Args:
         coordinates: The free parameters and the model that they belong to.
@@ -88,7 +85,7 @@ def cost_gradient(
     uv = _implicit_foot_points(model, data.points, uv)
     here = frame(model, uv)
     distance = here.distance(data.points)
-    sigma = estimate_sigma(data, distance, len(t))
+    sigma = jnp.where(jnp.isnan(data.sigma), _estimated(data, distance, len(t)), data.sigma)
     beyond = here.beyond(data.points) / sigma
     score = edge_score(beyond)
     covectors = here.normal * (distance / sigma)[:, None]
@@ -104,13 +101,19 @@ def cost_gradient(
     return jnp.sum(coordinates.gather(pulled), axis=0) * jnp.asarray(coordinates.slopes(t))
 
 
+def _estimated(data: Data, distance: Float[Array, " n"], free: int) -> Float[Array, ""]:
+    """The noise that a fit of so many parameters estimates, see `estimated_noise`."""
+    square = jnp.sum(data.weights * distance**2)
+    return jnp.sqrt(square / jnp.maximum(jnp.sum(data.weights) - free, 1))
+
+
 def _implicit_foot_points(model: AbstractSurface, points: Array, uv: Array) -> Array:
     """Foot points with the right first derivatives, by one Newton step with a constant matrix."""
-    uv = slide_foot_points(*jax.lax.stop_gradient((model, points, uv)), 8)
+    uv, _, _ = newton(*jax.lax.stop_gradient((model, points, uv)), 8)
     low, high = limits(model)
 
     @jax.vmap
-    def newton(uv: Array, x: Array) -> Array:
+    def step(uv: Array, x: Array) -> Array:
         gradient = jax.grad(half_squared_distance, 1)(model, uv, x)
         hessian = jax.hessian(half_squared_distance, 1)(model, uv, x)
         hessian = jax.lax.stop_gradient(hessian)
@@ -118,4 +121,4 @@ def _implicit_foot_points(model: AbstractSurface, points: Array, uv: Array) -> A
         hessian = jnp.where(jnp.outer(moves, moves), hessian, jnp.diag(1.0 * ~moves))
         return uv - jnp.linalg.solve(hessian, jnp.where(moves, gradient, 0.0))
 
-    return newton(uv, points)
+    return step(uv, points)

@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from petalfit.compilation import watched
-from petalfit.fitting.likelihood import programs
-from petalfit.residuals import AbstractTerm, TangentDistance
+from petalfit.residuals import AbstractTerm, TangentDistance, frames
 from petalfit.surfaces import AbstractSurface
 
 
@@ -39,7 +38,7 @@ class Glimpse:
             if isinstance(term, TangentDistance):
                 used = np.asarray(term.data.weights) > 0
                 points.append(np.asarray(term.data.points)[used])
-                here = programs.frames(model, term.uv)
+                here = frames(model, term.uv)
                 distances.append(np.asarray(here.distance(term.data.points))[used])
         return cls(model, np.concatenate(points), np.concatenate(distances))
 

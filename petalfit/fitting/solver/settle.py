@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -355,8 +354,8 @@ def _least(
 
 
 def _term(sheet: Sheet, uv: Float[np.ndarray, "n 2"], sigma: float) -> TangentDistance:
-    data = Data(jnp.asarray(sheet.points), jnp.asarray(sheet.weights), jnp.asarray(np.nan))
-    return TangentDistance(data=data, uv=jnp.asarray(uv), sigma=jnp.asarray(sigma))
+    data = Data.of(sheet.points, sheet.weights, None)
+    return TangentDistance(data=data, uv=uv, sigma=sigma)
 
 
 def _without_nuisances(information: Float[np.ndarray, "q q"]) -> Float[np.ndarray, "p p"]:

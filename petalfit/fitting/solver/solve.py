@@ -1,47 +1,53 @@
-"""The compiled core of a fit: pure functions that maximise the likelihood from a start.
+"""The core of a fit: rounds of Levenberg-Marquardt steps that maximise the likelihood from a start.
 
-They can be jitted and mapped: shapes are static, and data are arguments. Derivatives of a fit with
-respect to its data are in `petalfit.fitting.solver.implicit`.
+All that depends on the surface is computed by a few compiled programs, which all fits of that kind of
+surface share. The steps themselves have as many unknowns as there are parameters, and are left to NumPy.
+A program of the whole loop would be compiled for every form of a problem, which takes longer than the
+fit. Derivatives of a fit with respect to its data are in `petalfit.fitting.solver.implicit`.
 """
 
 from __future__ import annotations
 
+import itertools
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
-import lineax as lx
-import optimistix as optx
-from jaxtyping import Array, Bool, Float, Int
+import numpy as np
+from jaxtyping import Float
 
-from petalfit.compilation import Program
 from petalfit.fitting.coordinates import Coordinates, Prior
-from petalfit.residuals import AbstractFrozen, AbstractTerm, Pull, pull_back
+from petalfit.fitting.likelihood.linearise import slopes_at
+from petalfit.residuals import AbstractFrozen, AbstractTerm, Pull, places
+from petalfit.surfaces import AbstractSurface
 
 # Levenberg-Marquardt starts with a damping of 1, and its variables have unit information. Residuals are
 # multiplied by this factor, so that the first step is close to Gauss-Newton's.
 _GAIN = 15.0
 _FREE_ROUNDS = 8  # rounds with full steps
+_STEPS = 5  # in a round
+_ENOUGH = (
+    1e-2  # a change of all variables and residuals, relative to 1 and to their size, ends a round
+)
+# A step is taken if it lowers the cost by this share of what was expected, and damping changes after a
+# step that was not taken, and after one that lowered the cost nearly as expected.
+_TAKEN, _AS_EXPECTED, _MORE, _LESS = 0.01, 0.99, 4.0, 1 / 3.5
 
 
 class State(NamedTuple):
-    """The state of the compiled loop between two rounds.
+    """Where the rounds have ended.
 
     Attributes:
         t: Coordinates of the free parameters.
         terms: The terms of the cost, with foot points and noise of the last round.
-        rounds: The number of rounds so far.
+        rounds: The number of rounds.
         moved: Length of the last step in standard errors, the largest over all directions.
-        gain: The factor that residuals are multiplied by, in effect the inverse of the damping.
         shrunk: The noise relative to the noise at the start, the smallest ratio over the terms.
     """
 
-    t: Float[Array, " p"]
+    t: Float[np.ndarray, " p"]
     terms: tuple[AbstractTerm, ...]
-    rounds: Int[Array, ""]
-    moved: Float[Array, ""]
-    gain: Float[Array, ""]
-    shrunk: Float[Array, ""]
+    rounds: int
+    moved: float
+    shrunk: float
 
 
 class _Round(NamedTuple):
@@ -54,23 +60,72 @@ class _Round(NamedTuple):
     coordinates: Coordinates
     parts: tuple[AbstractFrozen, ...]
     prior: Prior
-    tilt: Array
-    gain: Array
-    origin: Array
-    whitening: Array
+    tilt: Float[np.ndarray, " p"]
+    gain: float
+    origin: Float[np.ndarray, " p"]
+    whitening: Float[np.ndarray, "p p"]
 
-    def place(self, z: Array) -> Array:
+    @property
+    def uv(self) -> Float[np.ndarray, "k 2"]:
+        """The places of all terms in sequence."""
+        return np.concatenate([part.uv for part in self.parts])
+
+    @property
+    def firsts(self) -> list[int]:
+        """The index of the first place of each term."""
+        return [0, *itertools.accumulate(len(part.uv) for part in self.parts[:-1])]
+
+    def place(self, z: Float[np.ndarray, " p"]) -> Float[np.ndarray, " p"]:
         return self.origin + self.whitening @ z
+
+    def at(self, z: Float[np.ndarray, " p"]) -> _Trial:
+        """The model at z, with the positions that the terms need of it, and the residuals."""
+        t = self.place(z)
+        model = self.coordinates.model(t)
+        position = np.split(places(model, self.uv), self.firsts[1:])
+        found = [part.residual(own) for part, own in zip(self.parts, position, strict=True)]
+        observed = np.concatenate(found)
+        # The linear cost g·z is written as half the square of √(2K) + g·z/√(2K), less a constant; its
+        # curvature vanishes for large K.
+        root = np.sqrt(2 * _constant(observed))
+        tilt = root + self.tilt @ z / root
+        known = self.prior.root * (t - self.prior.centre)
+        residuals = self.gain * np.concatenate([observed, [tilt], known])
+        return _Trial(z, model, position, residuals)
+
+    def jacobian(self, trial: _Trial) -> Float[np.ndarray, "m p"]:
+        """The derivatives of the residuals by z."""
+        found = [part.slopes(own) for part, own in zip(self.parts, trial.position, strict=True)]
+        index = np.concatenate(
+            [first + own for first, (own, _) in zip(self.firsts, found, strict=True)]
+        )
+        covectors = np.concatenate([part for _, part in found])
+        t = self.place(trial.z)
+        position = np.concatenate(trial.position)[index]
+        uv = self.uv[index]
+        rows = slopes_at(self.coordinates, trial.model, t, uv, covectors, position)
+        tilt = self.tilt / np.sqrt(2 * _constant(rows))
+        known = np.asarray(self.prior.root)[:, None] * self.whitening
+        return self.gain * np.concatenate([rows @ self.whitening, tilt[None], known])
+
+
+class _Trial(NamedTuple):
+    """The variables z, the model there, positions on it for each term, and the residuals."""
+
+    z: Float[np.ndarray, " p"]
+    model: AbstractSurface
+    position: list[np.ndarray]
+    residuals: Float[np.ndarray, " m"]
 
 
 def solve(
     coordinates: Coordinates,
     terms: tuple[AbstractTerm, ...],
     prior: Prior,
-    t: Float[Array, " p"],
-    whitening: Float[Array, "p p"],
-    max_rounds: int | Int[Array, ""],
-    tolerance: float | Float[Array, ""],
+    t: Float[np.ndarray, " p"],
+    whitening: Float[np.ndarray, "p p"],
+    max_rounds: int,
+    tolerance: float,
 ) -> State:
     """Minimises the costs of all terms and of the prior over the free parameters.
 
@@ -88,86 +143,72 @@ def solve(
     Returns:
         The state after the last round. Its foot points belong to the parameters before the last step.
     """
-
-    def go_on(state: State) -> Bool[Array, ""]:
-        return (state.rounds < max_rounds) & ~(state.moved <= tolerance)
-
-    def one_round(state: State) -> State:
-        model = coordinates.model(state.t)
-        renewed, parts, pulls = zip(*(x.freeze(model, len(t)) for x in state.terms), strict=True)
-        ratios = [new.sigma / old.sigma for new, old in zip(renewed, terms, strict=True)]
-        shrunk = jnp.min(jnp.stack(ratios))
+    first, gain, rounds, moved, shrunk = terms, _GAIN, 0, np.inf, 1.0
+    while rounds < max_rounds and not moved <= tolerance:
+        model = coordinates.model(t)
+        renewed, parts, pulls = zip(*(x.freeze(model, len(t)) for x in terms), strict=True)
+        ratios = [
+            float(new.sigma) / float(old.sigma) for new, old in zip(renewed, first, strict=True)
+        ]
+        shrunk = min(ratios)
         scaled = shrunk * whitening
-        tilt = scaled.T @ _linear(coordinates, state.t, pulls)
-        held = _Round(coordinates, parts, prior, tilt, state.gain, state.t, scaled)
-        solution = optx.least_squares(
-            _residuals,
-            optx.LevenbergMarquardt(rtol=1e-2, atol=1e-2, linear_solver=lx.Normal(lx.Cholesky())),
-            jnp.zeros_like(state.t),
-            held,
-            max_steps=6,
-            throw=False,
-        )
-        z = jnp.where(jnp.isfinite(solution.value).all(), solution.value, 0.0)
+        tilt = scaled.T @ _linear(coordinates, model, t, pulls)
+        held = _Round(coordinates, parts, prior, tilt, gain, t, scaled)
+        z = _least(held)
         # z is zero if no step lowered the cost: then damp more, until no damping is left to try.
-        stuck = jnp.all(z == 0)
-        nowhere = state.gain < _GAIN / 8**3
-        moved = jnp.where(stuck & ~nowhere, jnp.inf, jnp.max(jnp.abs(z)))
+        stuck, nowhere = not np.any(z), gain < _GAIN / 8**3
+        moved = np.inf if stuck and not nowhere else float(np.max(np.abs(z)))
         # Later steps are halved, which calms a foot point that flips between two rounds.
-        z = jnp.where(state.rounds < _FREE_ROUNDS, z, 0.5 * z)
-        gain = jnp.where(stuck, state.gain / 8, jnp.minimum(state.gain * 2, _GAIN))
-        return State(held.place(z), renewed, state.rounds + 1, moved, gain, shrunk)
-
-    infinite, gain = jnp.array(jnp.inf, t.dtype), jnp.array(_GAIN, t.dtype)
-    start = State(t, terms, jnp.array(0), infinite, gain, jnp.ones((), t.dtype))
-    return jax.lax.while_loop(go_on, one_round, jax.tree.map(jnp.asarray, start))
+        t = held.place(z if rounds < _FREE_ROUNDS else 0.5 * z)
+        gain = gain / 8 if stuck else min(gain * 2, _GAIN)
+        terms, rounds = renewed, rounds + 1
+    return State(t, terms, rounds, moved, shrunk)
 
 
-def _linear(coordinates: Coordinates, t: Array, pulls: tuple[Pull | None, ...]) -> Array:
+def _least(held: _Round) -> Float[np.ndarray, " p"]:
+    """The variables after a few Levenberg-Marquardt steps from zero."""
+    here, jacobian, damping = held.at(np.zeros(len(held.origin))), None, 1.0
+    for _ in range(_STEPS):
+        jacobian = held.jacobian(here) if jacobian is None else jacobian
+        normal = jacobian.T @ jacobian + damping * np.eye(len(here.z))
+        try:
+            step = -np.linalg.solve(normal, jacobian.T @ here.residuals)
+        except np.linalg.LinAlgError:
+            break
+        trial = held.at(here.z + step)
+        cost = np.sum(here.residuals**2)
+        expected = np.sum((here.residuals + jacobian @ step) ** 2) - cost
+        change = np.sum(trial.residuals**2) - cost
+        if not change <= _TAKEN * expected:
+            damping *= _MORE
+            continue
+        moved = trial.residuals - here.residuals
+        here, jacobian = trial, None
+        if _is_small(step, trial.z) and _is_small(moved, trial.residuals):
+            break
+        if change < _AS_EXPECTED * expected < 0:
+            damping *= _LESS
+    return here.z
+
+
+def _is_small(change: np.ndarray, values: np.ndarray) -> bool:
+    return bool(np.all(np.abs(change) < _ENOUGH * (1 + np.abs(values))))
+
+
+def _linear(
+    coordinates: Coordinates,
+    model: AbstractSurface,
+    t: Float[np.ndarray, " p"],
+    pulls: tuple[Pull | None, ...],
+) -> Float[np.ndarray, " p"]:
     """Derivative with respect to t of the linear part of the cost, which consists of the pulls."""
-    model, total = coordinates.model(t), jnp.zeros_like(t)
+    total = np.zeros(len(t))
     for pull in pulls:
         if pull is not None:
-            pulled = coordinates.gather(pull_back(model, pull.uv, pull.covectors))
-            total = total + coordinates.slopes(t) * jnp.sum(pulled, axis=0)
+            rows = slopes_at(coordinates, model, t, pull.uv, pull.covectors, pull.position)
+            total = total + np.sum(rows, axis=0)
     return total
 
 
-@jax.custom_jvp
-def _residuals(z: Array, held: _Round) -> Array:
-    t = held.place(z)
-    model = held.coordinates.model(t)
-    observed = jnp.concatenate([part.residual(model) for part in held.parts])
-    # The linear cost g·z is written as half the square of √(2K) + g·z/√(2K), less a constant; its
-    # curvature vanishes for large K.
-    root = jnp.sqrt(2 * _constant(observed))
-    tilt = root + held.tilt @ z / root
-    return held.gain * jnp.concatenate(
-        [observed, tilt[None], held.prior.root * (t - held.prior.centre)]
-    )
-
-
-@_residuals.defjvp
-def _residuals_jvp(primals: tuple, tangents: tuple) -> tuple[Array, Array]:
-    # One reverse pass per point gives all columns of the Jacobian; linearising `_residuals` column by
-    # column would cost several times as much. Derivatives with respect to `held` are left out.
-    z, held = primals
-    return _residuals(z, held), _jacobian(z, held) @ tangents[0]
-
-
-def _jacobian(z: Array, held: _Round) -> Array:
-    t = held.place(z)
-    model = held.coordinates.model(t)
-    uv, covectors = zip(*(part.slopes(model) for part in held.parts), strict=True)
-    pulled = pull_back(model, jnp.concatenate(uv), jnp.concatenate(covectors))
-    rows = held.coordinates.gather(pulled) * held.coordinates.slopes(t)
-    tilt = held.tilt / jnp.sqrt(2 * _constant(rows))
-    prior = held.prior.root[:, None] * held.whitening
-    return held.gain * jnp.concatenate([rows @ held.whitening, tilt[None], prior])
-
-
-def _constant(rows: Array) -> float:
+def _constant(rows: np.ndarray) -> float:
     return 1e3 + len(rows)
-
-
-compiled_solve = Program(solve)

@@ -5,21 +5,27 @@ from __future__ import annotations
 import dataclasses
 from typing import cast
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from petalfit.components import AbstractAssembly
 from petalfit.fitting.coordinates import Coordinates, in_doubles
 from petalfit.fitting.families.assembly.parts_distance import PartsDistance
 from petalfit.fitting.likelihood import programs
-from petalfit.fitting.likelihood.cloud import ObservedCloud, comparable, mean_logarithm, pad
+from petalfit.fitting.likelihood.cloud import ObservedCloud, comparable, mean_logarithm
+from petalfit.fitting.likelihood.linearise import linearise
 from petalfit.fitting.likelihood.observed import (
     AbstractObserved,
     Residuals,
     ScoreAndInformation,
 )
-from petalfit.residuals import AbstractTerm, Data, TangentDistance
+from petalfit.residuals import (
+    AbstractTerm,
+    Data,
+    TangentDistance,
+    nearest_nodes,
+    refine_foot_points,
+)
 from petalfit.surfaces import AbstractSurface
 
 
@@ -28,16 +34,14 @@ class ObservedParts(AbstractObserved):
     """The likelihood of a cloud of an assembly, as a solver uses it.
 
     Attributes:
-        data: The cloud, padded.
-        count: The number of points, without padding.
+        data: The cloud.
     """
 
     data: Data
-    count: int
 
     @classmethod
     def of(cls, points: np.ndarray, weights: np.ndarray, noise: float | None) -> ObservedParts:
-        return cls(pad(points, weights, noise), len(points))
+        return cls(Data.of(points, weights, noise))
 
     def match(self, model: AbstractSurface, term: AbstractTerm | None) -> PartsDistance:
         """The term with foot points on every part, and each point shared among the parts near it."""
@@ -55,24 +59,24 @@ class ObservedParts(AbstractObserved):
 
     def _reach(
         self, model: AbstractSurface, term: AbstractTerm | None
-    ) -> tuple[list[Array], Float[np.ndarray, "k n"]]:
+    ) -> tuple[list[np.ndarray], Float[np.ndarray, "k n"]]:
         """Foot points of all points on every part, and the distances to them."""
-        points, feet, gaps = np.asarray(self.data.points), [], []
+        points, feet, gaps = self.data.points, [], []
         for k, (pose, surface) in enumerate(cast(AbstractAssembly, model).parts().values()):
             # Points are taken to the part's own frame, so that parts of one kind share their programs.
             rotation, shift = np.asarray(pose.rotation), np.asarray(pose.translation)
             own = (points - shift) @ rotation / float(pose.scale)
             surface = in_doubles(surface)
             known = isinstance(term, PartsDistance)
-            start = term.terms[k].uv if known else programs.nearest(surface, own)
-            uv = programs.refine(surface, own, start, 2 if known else 6)
+            start = term.terms[k].uv if known else nearest_nodes(surface, own)
+            uv = refine_foot_points(surface, own, start, 2 if known else 6)
             feet.append(uv)
             gaps.append(np.asarray(programs.distances(surface, own, uv)) * float(pose.scale))
         return feet, np.stack(gaps)
 
     def misfit(self, model: AbstractSurface) -> float:
         _, gaps = self._reach(model, None)
-        shares = _shares(gaps, float(self.data.sigma)) * np.asarray(self.data.weights)
+        shares = _shares(gaps, float(self.data.sigma)) * self.data.weights
         return mean_logarithm(self.data, gaps, shares)
 
     def information(
@@ -80,10 +84,10 @@ class ObservedParts(AbstractObserved):
     ) -> tuple[np.ndarray, float]:
         assert isinstance(term, PartsDistance)
         surveys = [
-            programs.linearise(_within(coordinates, k), part.data, t, part.uv)
+            linearise(_within(coordinates, k), part.data, t, part.uv)
             for k, part in enumerate(term.terms)
         ]
-        counts = np.array([float(np.sum(np.asarray(part.data.weights))) for part in term.terms])
+        counts = np.array([float(np.sum(part.data.weights)) for part in term.terms])
         sigmas = np.array([float(seen.sigma) for seen in surveys])
         sigma = float(np.sqrt(np.sum(counts * sigmas**2) / np.sum(counts)))
         information = np.sum(
@@ -98,10 +102,10 @@ class ObservedParts(AbstractObserved):
         noise = float(term.sigma)
         found = []
         for k, part in enumerate(term.terms):
-            data = part.data._replace(sigma=jnp.asarray(noise))
-            if float(np.sum(np.asarray(data.weights))) == 0:
+            data = part.data._replace(sigma=noise)
+            if float(np.sum(data.weights)) == 0:
                 continue
-            one = TangentDistance(data=data, uv=part.uv, sigma=jnp.asarray(noise))
+            one = TangentDistance(data=data, uv=part.uv, sigma=noise)
             found.append(ObservedCloud(data).score_and_information(_within(coordinates, k), t, one))
         information = np.sum([part.information for part in found], axis=0)
         score = np.sum([part.score for part in found], axis=0)
@@ -116,8 +120,8 @@ class ObservedParts(AbstractObserved):
             for k, part in enumerate(term.terms)
         ]
         owner = np.argmin([np.abs(part.distance) for part in parts], axis=0)
-        distance = np.choose(owner, [part.distance for part in parts])[: self.count]
-        weights = np.asarray(self.data.weights)[: self.count]
+        distance = np.choose(owner, [part.distance for part in parts])
+        weights = self.data.weights
         chi2 = comparable(distance, weights)
         return [Residuals(distance, weights, float(term.sigma), "length", chi2)]
 

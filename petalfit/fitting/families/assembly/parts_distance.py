@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Iterator, Sequence
 from typing import cast
 
-import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
+from jaxtyping import Float, Int
 
 from petalfit.components import AbstractAssembly
 from petalfit.residuals import (
@@ -18,6 +20,7 @@ from petalfit.residuals import (
 from petalfit.surfaces import AbstractSurface
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
 class PartsDistance(AbstractTerm):
     """The tangent distances of all parts of an assembly, each with the weights of its own points.
 
@@ -27,7 +30,7 @@ class PartsDistance(AbstractTerm):
     """
 
     terms: tuple[TangentDistance, ...]
-    sigma: Float[Array, ""]
+    sigma: float
 
     def freeze(
         self, surface: AbstractSurface, free: int
@@ -38,37 +41,58 @@ class PartsDistance(AbstractTerm):
             new, frozen, pull = term.freeze(surface.part(k), 0)
             renewed.append(new)
             held.append(frozen)
-            pulls.append(Pull(surface.in_atlas(k, pull.uv), pull.covectors))
-        counts = jnp.stack([jnp.sum(term.data.weights) for term in renewed])
-        variances = jnp.stack([term.sigma**2 for term in renewed])
-        total = jnp.maximum(jnp.sum(counts) - free, 1.0)
-        sigma = jnp.sqrt(jnp.sum(counts * variances) / total)
-        pull = Pull(*(jnp.concatenate(arrays) for arrays in zip(*pulls, strict=True)))
+            pulls.append(pull._replace(uv=surface.in_atlas(k, pull.uv)))
+        counts = np.array([np.sum(term.data.weights) for term in renewed])
+        variances = np.array([term.sigma**2 for term in renewed])
+        total = max(np.sum(counts) - free, 1.0)
+        sigma = float(np.sqrt(np.sum(counts * variances) / total))
+        pull = Pull(*(np.concatenate(arrays) for arrays in zip(*pulls, strict=True)))
         held = [with_sigma(frozen, sigma) for frozen in held]
-        return PartsDistance(terms=tuple(renewed), sigma=sigma), FrozenParts(tuple(held)), pull
+        frozen = FrozenParts.of(surface, held)
+        return PartsDistance(terms=tuple(renewed), sigma=sigma), frozen, pull
 
 
-def with_sigma(frozen: FrozenDistance, sigma: Float[Array, ""]) -> FrozenDistance:
+def with_sigma(frozen: FrozenDistance, sigma: float) -> FrozenDistance:
     """The same distances in units of another noise."""
-    return FrozenDistance(frozen.data, frozen.uv, sigma, frozen.frame, frozen.near)
+    return dataclasses.replace(frozen, sigma=sigma)
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
 class FrozenParts(AbstractFrozen):
-    """Distances to the frames at the foot points, part by part."""
+    """Distances to the frames at the foot points, part by part.
 
+    Attributes:
+        uv: The foot points of all parts, in the atlas of the assembly, shape (k, 2).
+        parts: The distances.
+    """
+
+    uv: Float[np.ndarray, "k 2"]
     parts: tuple[FrozenDistance, ...]
 
-    def residual(self, surface: AbstractSurface) -> Float[Array, " m"]:
-        surface = cast(AbstractAssembly, surface)
-        return jnp.concatenate(
-            [frozen.residual(surface.part(k)) for k, frozen in enumerate(self.parts)]
-        )
+    @classmethod
+    def of(cls, surface: AbstractAssembly, parts: Sequence[FrozenDistance]) -> FrozenParts:
+        places = [surface.in_atlas(k, frozen.uv) for k, frozen in enumerate(parts)]
+        return cls(np.concatenate(places), tuple(parts))
 
-    def slopes(self, surface: AbstractSurface) -> tuple[Float[Array, "m 2"], Float[Array, "m 3"]]:
-        surface = cast(AbstractAssembly, surface)
-        places, covectors = [], []
-        for k, frozen in enumerate(self.parts):
-            uv, rows = frozen.slopes(surface.part(k))
-            places.append(surface.in_atlas(k, uv))
-            covectors.append(rows)
-        return jnp.concatenate(places), jnp.concatenate(covectors)
+    def residual(self, position: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " m"]:
+        split = self._split(position)
+        return np.concatenate([part.residual(own) for part, own, _ in split])
+
+    def slopes(
+        self, position: Float[np.ndarray, "k 3"]
+    ) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, "m 3"]]:
+        rows, covectors = [], []
+        for part, own, first in self._split(position):
+            index, of_part = part.slopes(own)
+            rows.append(first + index)
+            covectors.append(of_part)
+        return np.concatenate(rows), np.concatenate(covectors)
+
+    def _split(
+        self, position: Float[np.ndarray, "k 3"]
+    ) -> Iterator[tuple[FrozenDistance, Float[np.ndarray, "n 3"], int]]:
+        """Every part with its positions, and the index of the first of them."""
+        first = 0
+        for part in self.parts:
+            yield part, position[first : first + len(part.uv)], first
+            first += len(part.uv)

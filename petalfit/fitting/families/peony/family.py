@@ -8,7 +8,6 @@ from typing import ClassVar, cast
 
 import numpy as np
 
-from petalfit.compilation import pad_to
 from petalfit.components import PeonyPetal, Posed
 from petalfit.fitting.coordinates import Coordinates, Prior, in_doubles, with_values
 from petalfit.fitting.families.family import AbstractFamily
@@ -25,7 +24,7 @@ from petalfit.fitting.families.peony.ribs import (
     with_ribs,
 )
 from petalfit.fitting.families.polish import START_POINTS, Polishing, follow
-from petalfit.fitting.likelihood.cloud import BIAS_POINTS, ObservedCloud, pad
+from petalfit.fitting.likelihood.cloud import BIAS_POINTS, ObservedCloud
 from petalfit.fitting.likelihood.views import ObservedViews
 from petalfit.fitting.outliers.annealing import approach, term_of
 from petalfit.fitting.outliers.robust import Clutter
@@ -36,6 +35,7 @@ from petalfit.fitting.solver.all_points import with_all_points
 from petalfit.fitting.solver.iterate import Iterate
 from petalfit.fitting.solver.observer import report
 from petalfit.fitting.starts.frame import NormalisedFrame
+from petalfit.residuals import Data
 from petalfit.surfaces import AbstractSurface, Pose, turn_between
 
 # Further ribs that gain more than this in χ² on the residuals of an end show that it is wrong. By chance
@@ -229,9 +229,8 @@ def _ribs_left(coordinates: Coordinates, scan: Scan, end: Iterate) -> bool:
     (seen,) = end.residuals
     assert seen.uv is not None
     some = scan.order[:BIAS_POINTS]
-    data = pad(scan.points[some], np.asarray(seen.weights)[some], seen.noise)
-    uv = pad_to(seen.uv[some], len(data.points))
-    return explaining(coordinates.around(end.model), data, uv)[0].gain > _RIBS_LEFT
+    data = Data.of(scan.points[some], np.asarray(seen.weights)[some], seen.noise)
+    return explaining(coordinates.around(end.model), data, seen.uv[some])[0].gain > _RIBS_LEFT
 
 
 def _likelihood(near: Iterate) -> float:

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Float
 
 from petalfit.components import PeonyPetal
 from petalfit.fitting.coordinates import Coordinates, with_values
 from petalfit.fitting.families.peony.outline import Heights, fit_amplitudes, fit_outline
 from petalfit.fitting.families.peony.ribs import RIBS, close, ribs_beside, with_ribs
 from petalfit.fitting.families.polish import START_POINTS
-from petalfit.fitting.likelihood.cloud import ObservedCloud, pad
+from petalfit.fitting.likelihood.cloud import ObservedCloud
 from petalfit.fitting.outliers.annealing import approach, term_of
 from petalfit.fitting.outliers.scan import Scan
 from petalfit.fitting.solver.alternate import minimise
@@ -30,7 +30,7 @@ def known_starts(
     template, free = coordinates.template, coordinates.free
     some = scan.some(START_POINTS)
     points = scan.points[some]
-    data = pad(points, scan.weights[some], None)
+    data = Data.of(points, scan.weights[some], None)
     report("searching the outline")
     outline, complete = fit_outline(template, free, points)
     polished = _smooth(coordinates, outline, data)
@@ -71,7 +71,7 @@ def _smooth(
 
 def _with_heights(
     coordinates: Coordinates[PeonyPetal], outline: PeonyPetal, data: Data
-) -> tuple[PeonyPetal, Array]:
+) -> tuple[PeonyPetal, Float[np.ndarray, "n 2"]]:
     """The petal with heights fitted to the data, and foot points straight below the data."""
     heights = Heights.of(outline, coordinates.free, data)
     if not heights.names:

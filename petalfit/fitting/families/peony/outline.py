@@ -10,12 +10,13 @@ from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
 from petalfit.components import PeonyPetal, parameters
 from petalfit.fitting.coordinates import Coordinates, evenly_spread, with_values
 from petalfit.fitting.likelihood import programs
 from petalfit.fitting.likelihood.foot_points import straight_below
+from petalfit.fitting.likelihood.linearise import linearise
 from petalfit.residuals import Data
 
 OUTLINE = ("a_x", "b_y", "c")
@@ -140,7 +141,7 @@ class Heights(NamedTuple):
     names: tuple[str, ...]
     basis: Float[np.ndarray, "n k"]
     above: Float[np.ndarray, " n"]
-    uv: Float[Array, "n 2"]
+    uv: Float[np.ndarray, "n 2"]
 
     @classmethod
     def of(cls, petal: PeonyPetal, free: Collection[str], data: Data) -> Heights:
@@ -150,7 +151,7 @@ class Heights(NamedTuple):
         uv = straight_below(plane.shadow, data.points)
         here = Coordinates.of(plane, names)
         t = here.inverse(plane)
-        seen = programs.linearise(here, data, t, uv)
+        seen = linearise(here, data, t, uv)
         # A point straight above its foot point has the distance n_z (z - S_z); S_z is linear in the
         # amplitudes.
         n_z = np.asarray(seen.normal)[:, 2]

@@ -19,11 +19,12 @@ from petalfit.fitting.families.peony.ribs import (
     with_ribs,
 )
 from petalfit.fitting.inference.identifiability import DETERMINED, typical_spread
-from petalfit.fitting.likelihood import programs
 from petalfit.fitting.likelihood.cloud import ObservedCloud
-from petalfit.fitting.likelihood.matching import CORRELATED, View, padded, rows
+from petalfit.fitting.likelihood.linearise import contour_slopes
+from petalfit.fitting.likelihood.matching import CORRELATED, View, rows, term_of_rows
 from petalfit.fitting.likelihood.views import ObservedViews
 from petalfit.fitting.solver.observer import report
+from petalfit.residuals import places
 from petalfit.surfaces import AbstractSurface, outline
 
 
@@ -82,8 +83,8 @@ def _weighted(
     match = view.matched(outline(smooth, view.contour.camera))
     noise = view.noise(match)
     root = np.sqrt(match.length * view.cauchy_weight(match, noise) / (2 * CORRELATED)) / noise
-    term = padded([rows(view.contour, match, root)])
-    slopes = np.asarray(programs.contour_slopes(held, t, term))[: len(root)]
+    term = term_of_rows([rows(view.contour, match, root)])
+    slopes = contour_slopes(held, t, term)
     # Ribs rise along z.
-    rise = np.asarray(programs.contour_covectors(smooth, term))[: len(root), 2]
+    rise = term.covectors(places(smooth, term.uv))[:, 2]
     return slopes, rib_waves(match.uv, frequencies) * rise, root * match.distance

@@ -24,7 +24,7 @@ from petalfit.fitting.families.peony.outline import (
     OutlineSearch,
     fit_amplitudes,
 )
-from petalfit.fitting.likelihood.cloud import pad
+from petalfit.residuals import Data
 from petalfit.surfaces import turn_between
 
 _DIRECTIONS = 48
@@ -241,10 +241,10 @@ class _Above(NamedTuple):
     def of(cls, petal: PeonyPetal, free: Sequence[str], own: Float[np.ndarray, "n 3"]) -> _Above:
         """Fits the heights of points above a petal."""
         n = len(own)
-        data = pad(own, np.ones(n), None)
+        data = Data.of(own, np.ones(n), None)
         found = Heights.of(petal, free, data)
-        heights = found.above[:n]
-        basis = np.column_stack([found.basis[:n], np.ones(n), own[:, :2]])
+        heights = found.above
+        basis = np.column_stack([found.basis, np.ones(n), own[:, :2]])
         amplitudes = fit_amplitudes(heights, basis, np.ones(n))
         return cls(own, found.names, basis, heights, heights - basis @ amplitudes, amplitudes)
 

@@ -13,8 +13,8 @@ from jaxtyping import Array, Float
 
 from petalfit.components import PeonyPetal, Posed
 from petalfit.fitting.coordinates import Coordinates, with_values
-from petalfit.fitting.likelihood import programs
 from petalfit.fitting.likelihood.cloud import ObservedCloud
+from petalfit.fitting.likelihood.linearise import linearise
 from petalfit.residuals import AbstractTerm, Data
 from petalfit.surfaces import AbstractSurface, value_at
 
@@ -152,7 +152,7 @@ def explaining(
     Distances that the free parameters of the petal can explain are left out.
     """
     petal = coordinates.template
-    seen = programs.linearise(coordinates, data, coordinates.inverse(petal), uv)
+    seen = linearise(coordinates, data, coordinates.inverse(petal), uv)
     fixed = "rib_frequency" not in coordinates.free
     # Ribs rise along the petal's own z axis.
     up, unit = np.array([0.0, 0.0, 1.0]), 1.0

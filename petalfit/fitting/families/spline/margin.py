@@ -11,14 +11,13 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import label
 from scipy.optimize import brentq
 from scipy.stats import norm
 
-from petalfit.fitting.likelihood import programs
+from petalfit.residuals import frames
 from petalfit.surfaces import AbstractSurface
 
 _NODES = 33  # nodes on each side
@@ -51,11 +50,11 @@ class Margin(NamedTuple):
         uv, outward, length = [], [], []
         for across, along, edge in sides:
             place = np.stack([across, along], axis=-1)
-            here = programs.frames(surface, jnp.asarray(place))
-            steps = np.linalg.norm(np.gradient(np.asarray(here.position), axis=0), axis=-1)
+            here = frames(surface, place)
+            steps = np.linalg.norm(np.gradient(here.position, axis=0), axis=-1)
             steps[[0, -1]] *= 0.5
             uv.append(place)
-            outward.append(np.asarray(here.conormals)[:, edge])
+            outward.append(here.conormals[:, edge])
             length.append(steps)
         return cls(np.concatenate(uv), np.concatenate(outward), np.concatenate(length))
 

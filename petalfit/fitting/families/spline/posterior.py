@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from scipy.linalg import solve_triangular
 from scipy.spatial import KDTree
 
-from petalfit.compilation import bucket, pad_to
 from petalfit.components import SplinePetal
 from petalfit.fitting.families.spline.equations import COUNT, Equations, rows_at, surface_of
 from petalfit.fitting.families.spline.margin import Margin, gap, reached_from_the_edge
-from petalfit.fitting.likelihood import programs
+from petalfit.residuals import frames, places, refine_foot_points
 
 _DRAWS = 64  # a standard deviation of so many is right to a tenth
 # Standard deviation of slides of u and v along the surface, relative to its extent. They depend on how
@@ -70,11 +68,9 @@ def posterior_of(
         spacing: The side of the square that one point covers.
     """
     surface, n, total = surface_of(control), len(points), float(np.sum(weights))
-    padded = jnp.asarray(pad_to(points, bucket(n)))
-    places = programs.refine(surface, padded, jnp.asarray(pad_to(uv, len(padded))), 2)
-    here, uv = programs.frames(surface, places), np.asarray(places)[:n]
-    distance = np.asarray(here.distance(padded))[:n]
-    beyond = np.max(np.asarray(here.beyond(padded)), axis=-1)[:n]
+    uv = refine_foot_points(surface, points, uv, 2)
+    here = frames(surface, uv)
+    distance, beyond = here.distance(points), np.max(here.beyond(points), axis=-1)
     variance = float(np.sum(weights * distance**2)) / total * n / max(n - freedom, 0.1 * n)
     margin = Margin.of(surface)
     perimeter = float(np.sum(margin.length))
@@ -83,7 +79,7 @@ def posterior_of(
     system = Equations(
         np.zeros_like(control), total * stiffness, np.full(COUNT, variance / COUNT / slide**2)
     )
-    system.add(rows_at(uv), np.asarray(here.normal)[:n], np.zeros(n), weights)
+    system.add(rows_at(uv), here.normal, np.zeros(n), weights)
     edge, share, inside = rows_at(margin.uv), margin.length / perimeter, system.matrix.copy()
     system.add(edge, margin.outward, np.full(len(share), outside), total * share)
     moved = control + system.solved()
@@ -122,7 +118,7 @@ def _empty(surface: SplinePetal, uv: Float[np.ndarray, "n 2"]) -> tuple[float, f
     """The parts of the area that have hardly any points: along the edges, and in holes."""
     side = np.linspace(0, 1, _CELLS + 1)
     corners = np.stack(np.meshgrid(side - 0.5, side, indexing="ij"), axis=-1).reshape(-1, 2)
-    grid = np.asarray(programs.places(surface, corners)).reshape(_CELLS + 1, _CELLS + 1, 3)
+    grid = np.asarray(places(surface, corners)).reshape(_CELLS + 1, _CELLS + 1, 3)
     diagonals = grid[1:, 1:] - grid[:-1, :-1], grid[1:, :-1] - grid[:-1, 1:]
     area = 0.5 * np.linalg.norm(np.cross(*diagonals), axis=-1)
     count, _, _ = np.histogram2d(*uv.T, bins=[side - 0.5, side])

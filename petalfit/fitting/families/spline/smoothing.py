@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 from scipy.spatial import KDTree
 
-from petalfit.compilation import pad_to
 from petalfit.components import SplinePetal
 from petalfit.components.spline_petal import SEGMENTS
 from petalfit.fitting.families.spline.equations import (
@@ -22,8 +20,7 @@ from petalfit.fitting.families.spline.equations import (
 )
 from petalfit.fitting.families.spline.margin import reached_from_the_edge
 from petalfit.fitting.families.spline.posterior import Posterior, posterior_of
-from petalfit.fitting.likelihood import programs
-from petalfit.fitting.likelihood.cloud import ObservedCloud, pad
+from petalfit.fitting.likelihood.cloud import ObservedCloud
 from petalfit.fitting.likelihood.foot_points import (
     distances_beside,
     guess_foot_points,
@@ -36,7 +33,7 @@ from petalfit.fitting.outliers.scan import Scan
 from petalfit.fitting.solver.observer import report, show
 from petalfit.fitting.starts.flatten import flatten
 from petalfit.fitting.starts.frame import NormalisedFrame
-from petalfit.residuals import TangentDistance
+from petalfit.residuals import Data, TangentDistance, frames, refine_foot_points
 from petalfit.surfaces import Pose
 
 _ROUNDS = 14
@@ -89,8 +86,7 @@ def smooth(scan: Scan) -> Smoothed:
             mixture = _mixture(control, scan, scan.background)
             inside = mixture.members > 0.5
             sheet = _Points(own[inside], (mass * mixture.members)[inside])
-            near = guess_foot_points(surface_of(control), sheet.padded)
-            uv = np.asarray(near)[: len(sheet.points)]
+            uv = guess_foot_points(surface_of(control), sheet.points)
         report(f"smoothing less and less, round {number + 1} of {rounds}")
         stiffness = 10 ** np.interp(number / _ROUNDS, [0.0, 0.7], [_STIFF, _LIMP])
         uv, system = sheet.system(control, uv, stiffness * bent, 4 if number == 0 else 2)
@@ -118,7 +114,7 @@ class _Points:
 
     def __init__(self, points: Float[np.ndarray, "n 3"], weights: Float[np.ndarray, " n"]) -> None:
         self.points, self.weights = points, weights
-        self.cloud = ObservedCloud(pad(points, weights, None))
+        self.cloud = ObservedCloud(Data.of(points, weights, None))
         self.spacing = spacing(KDTree(points))
         side = np.linspace(0, 1, _NODES)
         nodes = np.stack(np.meshgrid(side - 0.5, side, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -132,13 +128,10 @@ class _Points:
         iterations: int,
     ) -> tuple[Float[np.ndarray, "n 2"], Equations]:
         """Foot points on the surface of given coefficients, and the equations for new coefficients."""
-        surface, n = surface_of(control), len(self.points)
-        uv = np.asarray(programs.refine(surface, self.padded, self._padded(uv), iterations))
-        here = programs.frames(surface, jnp.asarray(uv))
-        uv = uv[:n]
-        normal, position, conormals, left = (
-            np.asarray(x)[:n] for x in (here.normal, here.position, here.conormals, here.left)
-        )
+        surface = surface_of(control)
+        uv = refine_foot_points(surface, self.points, uv, iterations)
+        here = frames(surface, uv)
+        normal, position, conormals, left = here.normal, here.position, here.conormals, here.left
         rows, total = rows_at(uv), float(np.sum(self.weights))
         tied = total * _TIED * (rows.mean(axis=0) + 1e-3)
         system = Equations(control, total * stiffness, tied)
@@ -151,17 +144,9 @@ class _Points:
         self._add_emptiness(system, control, uv, total)
         return uv, system
 
-    @property
-    def padded(self) -> Float[Array, "m 3"]:
-        """The points of the padded cloud."""
-        return self.cloud.data.points
-
     def at(self, uv: Float[np.ndarray, "n 2"]) -> TangentDistance:
         """The term of the cloud with these foot points."""
-        return self.cloud.at(self._padded(uv))
-
-    def _padded(self, uv: Float[np.ndarray, "n 2"]) -> Float[Array, "m 2"]:
-        return jnp.asarray(pad_to(uv, len(self.padded)))
+        return self.cloud.at(uv)
 
     def _add_emptiness(
         self,
