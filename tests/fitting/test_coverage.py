@@ -88,10 +88,18 @@ def test_a_star_is_no_petal_and_tells_nothing_of_one():
     assert result.posterior is None
 
 
-def test_eleven_points_do_not_determine_ten_parameters():
-    points, _ = noisy_cloud(pf.PeonyPetal(), 11, 0.05, np.random.default_rng(0))
-    result = pf.fit_petal(points, throw=False)
-    assert not result.converged or sum(result.identifiable.values()) <= 3
+def test_what_eleven_points_determine_of_ten_parameters_is_true():
+    """The noise is estimated from a single degree of freedom, so that the errors are wide."""
+    petal, off = pf.PeonyPetal(), []
+    for seed in range(8):
+        points, _ = noisy_cloud(petal, 11, 0.05, np.random.default_rng(seed))
+        result = pf.fit_petal(points, throw=False)
+        off += [
+            (result.values[name] - getattr(petal, name)) / result.stderr[name]
+            for name in result.names
+            if result.converged and result.identifiable[name]
+        ]
+    assert np.mean(np.abs(off) < 1.96) > 0.9
 
 
 def test_a_sheet_around_a_ball_is_no_petal():

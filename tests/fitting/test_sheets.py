@@ -13,10 +13,11 @@ from scipy.spatial.transform import Rotation
 import petalfit as pf
 from petalfit.fitting.coordinates import Coordinates
 from petalfit.fitting.families.blade.family import BladeFamily
-from petalfit.fitting.likelihood.cloud import ObservedCloud, pad
+from petalfit.fitting.likelihood.cloud import ObservedCloud
 from petalfit.fitting.solver.iterate import Iterate
 from petalfit.fitting.solver.observer import Glimpse, looking_on
 from petalfit.fitting.starts.flatten import flatten
+from petalfit.residuals import Data
 
 PETALS = Path(__file__).parents[3] / "shared" / "data" / "petals"
 TRUTH = pf.BladePetal(
@@ -173,11 +174,11 @@ def test_a_blade_that_is_turned_over_says_the_same():
         model = pf.components.Posed(hollow, random_rotation(rng), np.array([1.0, 2.0, 3.0]), 0.4)
         uv = np.stack([rng.uniform(-0.45, 0.45, 96), rng.uniform(0.05, 0.95, 96)], axis=-1)
         points = np.asarray(model(*uv.T)) + 0.01 * rng.standard_normal((96, 3))
-        cloud = ObservedCloud(pad(points, np.ones(96), 0.01))
+        cloud = ObservedCloud(Data.of(points, np.ones(96), 0.01))
 
         def end(model: pf.components.Posed, uv: np.ndarray) -> Iterate:
             coordinates = Coordinates.of(model, names)
-            t, term = coordinates.inverse(model), cloud.at(jax.numpy.asarray(uv))
+            t, term = coordinates.inverse(model), cloud.at(uv)
             slopes = coordinates.slopes(t)
             information = cloud.information(coordinates, t, term)[0] / np.outer(slopes, slopes)
             return Iterate(

@@ -61,7 +61,7 @@ def solve_differentiably(
 
     found = optx.root_find(
         gradient,
-        optx.Dogleg(rtol=tolerance, atol=tolerance),
+        optx.Newton(rtol=tolerance, atol=tolerance),
         start,
         args=leaves,
         max_steps=max_steps,
