@@ -80,8 +80,8 @@ def _is_right(values: dict[str, float], petal: pf.PeonyPetal) -> bool:
 def _bare(petal: pf.PeonyPetal, points: np.ndarray) -> float:
     """Seconds of one evaluation that any solver needs: foot points, distances, Jacobian."""
     from petalfit.compilation import Program
-    from petalfit.fitting.coordinates import in_doubles
     from petalfit.residuals import frame, nearest_nodes, newton, pull_back, refine_foot_points
+    from petalfit.surfaces import in_doubles
 
     def evaluate(petal: pf.PeonyPetal, points: jax.Array, uv: jax.Array) -> tuple:
         uv, _, _ = newton(petal, points, uv, 2)

@@ -1,6 +1,7 @@
 """Compiled programs, and their storage beyond the process that compiled them."""
 
 from petalfit.compilation.buckets import BLOCK as BLOCK
+from petalfit.compilation.buckets import ROWS as ROWS
 from petalfit.compilation.buckets import blocks as blocks
 from petalfit.compilation.buckets import bucket as bucket
 from petalfit.compilation.buckets import pad_to as pad_to

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-BLOCK = 512  # rows that a program for blocks takes at once
+BLOCK = 512  # points that the likelihood of a sheet takes at once
+ROWS = 768  # of a `RowProgram` at once: with fewer, a call takes as long as what it computes
 
 
 def bucket(n: int) -> int:

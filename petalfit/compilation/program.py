@@ -13,14 +13,13 @@ from typing import Any, Generic, TypeVar
 import jax
 import numpy as np
 
-from petalfit.compilation.buckets import blocks
+from petalfit.compilation.buckets import ROWS, blocks
 from petalfit.compilation.stopwatch import stage, unwatched
 from petalfit.compilation.store import current_store, is_double
 
 R = TypeVar("R")
 _WORKER = "petalfit-program"  # how names of the threads begin
 _CORES = os.cpu_count() or 1
-_ROWS = 768  # in a block of a program for rows: for fewer, a call takes as long as what it computes
 
 
 class Program(Generic[R]):
@@ -66,7 +65,7 @@ class RowProgram(Program[R]):
     def __call__(self, *args: Any) -> R:
         """The result of the function, in arrays of NumPy."""
         others, rows = args[: -self._count], args[-self._count :]
-        split = [blocks(np.asarray(part), size=_ROWS) for part in rows]
+        split = [blocks(np.asarray(part), size=ROWS) for part in rows]
         leaves, structure = jax.tree.flatten((*others, *(part[0] for part in split)))
         program = current_store().program(self._function, structure, leaves)
         same = leaves[: -self._count]

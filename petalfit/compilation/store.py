@@ -69,8 +69,8 @@ class ExecutableStore:
                 known = self.folder is not None and _is_known(function, structure)
                 key = _key(function, structure, forms) if known else None
                 kept = None if key is None else self._load(key)
-                found = kept or self._compile(key, function, structure, leaves)
-                self._loaded[like] = _with_packed(forms, found)
+                packed = kept or self._compile(key, function, structure, leaves)
+                self._loaded[like] = lambda *leaves: packed(*_packed(forms, leaves))
         return self._loaded[like]
 
     def _load(self, key: str) -> Callable | None:
@@ -88,18 +88,18 @@ class ExecutableStore:
         self, key: str | None, function: Callable, structure: Any, leaves: Sequence
     ) -> Callable:
         """Compiles a program, and saves it under its key if it has one."""
-        results = []
-        scalars, others = _packed(tuple(map(_form, leaves)), leaves)
+        results, forms = [], tuple(map(_form, leaves))
 
         # The program maps leaves to leaves: a model can be pickled, but the structure of one cannot.
         def flat(scalars: jax.Array, *others: object) -> list:
             first, rest = iter(scalars), iter(others)
-            every = [next(first if _form(leaf) == _SCALAR else rest) for leaf in leaves]
-            result = function(*jax.tree.unflatten(structure, every))
+            leaves = [next(first if form == _SCALAR else rest) for form in forms]
+            result = function(*jax.tree.unflatten(structure, leaves))
             results.append(jax.tree.structure(result))
             return jax.tree.leaves(result)
 
-        compiled = jax.jit(flat, compiler_options=options()).lower(scalars, *others).compile()
+        jitted = jax.jit(flat, compiler_options=options())
+        compiled = jitted.lower(*_packed(forms, leaves)).compile()
         (result,) = results
         if key is None or self.folder is None:
             return _structured(compiled, result)
@@ -112,22 +112,12 @@ class ExecutableStore:
         return _structured(compiled, result)
 
 
-def _packed(forms: tuple, leaves: Sequence) -> tuple[np.ndarray, list]:
-    """The leaves that are doubles, in one array, because each argument takes time; and the others."""
-    scalars = [leaf for form, leaf in zip(forms, leaves, strict=True) if form == _SCALAR]
-    others = [leaf for form, leaf in zip(forms, leaves, strict=True) if form != _SCALAR]
-    return np.array(scalars, np.float64), others
-
-
-def _with_packed(forms: tuple, program: Callable) -> Callable:
-    """A program that takes leaves, made of one that takes them packed."""
-    first = [k for k, form in enumerate(forms) if form == _SCALAR]
-    rest = [k for k, form in enumerate(forms) if form != _SCALAR]
-
-    def call(*leaves: Any) -> Any:
-        return program(np.array([leaves[k] for k in first], float), *[leaves[k] for k in rest])
-
-    return call
+def _packed(forms: tuple, leaves: Sequence) -> list:
+    """The leaves that are doubles, in one array, because each argument takes time; then the others."""
+    scalars, others = [], []
+    for form, leaf in zip(forms, leaves, strict=True):
+        (scalars if form == _SCALAR else others).append(leaf)
+    return [np.array(scalars, np.float64), *others]
 
 
 def _structured(compiled: Callable[..., list], structure: Any) -> Callable:
@@ -154,8 +144,7 @@ def options() -> dict[str, bool]:
 _SCALAR = (), "<f8", False  # the form of a double
 _IN_MEMORY = ExecutableStore(None)
 _current: contextvars.ContextVar[ExecutableStore] = contextvars.ContextVar(
-    "store",
-    default=_IN_MEMORY,
+    "store", default=_IN_MEMORY
 )
 
 

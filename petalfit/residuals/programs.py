@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import jax
 import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy.spatial.transform import Rotation
@@ -19,7 +18,7 @@ from petalfit.compilation import RowProgram
 from petalfit.components import Posed
 from petalfit.residuals import contact, foot_point
 from petalfit.residuals.contact import Frame, Numbers
-from petalfit.surfaces import AbstractMap, AbstractSurface, value_at
+from petalfit.surfaces import AbstractMap, AbstractSurface, in_doubles, value_at
 
 _SMALL = 1e-8  # rad, below which the derivatives of a turn are those at none
 
@@ -29,13 +28,13 @@ def places(surface: AbstractMap, uv: Float[Numbers, "n 2"]) -> Float[np.ndarray,
     if isinstance(surface, Posed):
         turn, shift, scale = surface.similarity_in_numpy
         return places(surface.surface, uv) @ (scale * turn.T) + shift
-    return _places(_with_arrays(surface), uv)
+    return _places(in_doubles(surface), uv)
 
 
 def frames(surface: AbstractSurface, uv: Float[Numbers, "n 2"]) -> Frame:
     """The frames of a surface at foot points."""
     if not isinstance(surface, Posed):
-        return _frames(_with_arrays(surface), uv)
+        return _frames(in_doubles(surface), uv)
     here, (turn, shift, scale) = frames(surface.surface, uv), surface.similarity_in_numpy
     return Frame(
         here.position @ (scale * turn.T) + shift,
@@ -51,7 +50,7 @@ def nearest_nodes(surface: AbstractMap, points: Float[Numbers, "n 3"]) -> Float[
     """The nearest of 17 × 17 places of the domain for each point: coarse starts of foot points."""
     if isinstance(surface, Posed):
         return nearest_nodes(surface.surface, _into(surface, points))
-    return _nearest_nodes(_with_arrays(surface), points)
+    return _nearest_nodes(in_doubles(surface), points)
 
 
 def slide_foot_points(
@@ -68,7 +67,7 @@ def slide_foot_points(
     """
     if isinstance(surface, Posed):
         return slide_foot_points(surface.surface, _into(surface, points), uv, iterations)
-    return _slide(_with_arrays(surface), np.int64(iterations), points, uv)
+    return _slide(in_doubles(surface), np.int64(iterations), points, uv)
 
 
 def pulled(
@@ -102,7 +101,7 @@ def _pulled_by(
     position: np.ndarray,
 ) -> Float[np.ndarray, "n p"]:
     if not isinstance(surface, Posed):
-        tree = _pulled(_with_arrays(surface), uv, covectors)
+        tree = _pulled(in_doubles(surface), uv, covectors)
         columns = [value_at(tree, name) for name in names]
         return np.stack(columns, axis=-1) if names else np.zeros((len(uv), 0))
     (turn, _, scale), unit = surface.similarity_in_numpy, float(surface.unit)
@@ -143,15 +142,6 @@ def _cross(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
     """The matrix that multiplies by the vector product with a vector."""
     x, y, z = vector
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-
-def _with_arrays(surface: AbstractMap) -> AbstractMap:
-    """The surface with arrays of doubles for leaves, so that equal shapes mean the same program."""
-    return jax.tree.map(_in_double, surface)
-
-
-def _in_double(leaf: Any) -> np.ndarray:
-    return leaf if isinstance(leaf, np.ndarray) else np.asarray(leaf, np.float64)
 
 
 def _slid(

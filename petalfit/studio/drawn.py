@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float
 
 from petalfit.fitting import FitResult
-from petalfit.fitting.coordinates import in_doubles
 from petalfit.fitting.likelihood.foot_points import distances_beside, signed_distance
 from petalfit.observations import AbstractObservation, PointCloud, Silhouette
 from petalfit.report.colour import IGNORED, diverging
@@ -18,7 +17,7 @@ from petalfit.report.scene import distance_limit
 from petalfit.studio.petal_controls import PetalControls
 from petalfit.studio.pictures import picture
 from petalfit.studio.scenery import Scenery
-from petalfit.surfaces import AbstractSurface, Pose
+from petalfit.surfaces import AbstractSurface, Pose, in_doubles
 
 _IN_VIEW = 20_000  # the most points drawn; of more points a random choice is drawn
 _BESIDE = 2000  # the number of points whose distances follow the sliders

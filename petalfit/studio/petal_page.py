@@ -12,7 +12,6 @@ import numpy as np
 from petalfit.components import Posed, models, parameters
 from petalfit.export.mesh import export_glb
 from petalfit.fitting import DEFAULT, FOR_SCANS, FitResult, family_of, fit_petal, tip_of
-from petalfit.fitting.coordinates import in_doubles
 from petalfit.fitting.solver.observer import Glimpse, looking_on
 from petalfit.observations import AbstractObservation, Camera, Silhouette, TargetError
 from petalfit.report import write_report
@@ -26,7 +25,7 @@ from petalfit.studio.session import Session
 from petalfit.studio.sliders import add_slider
 from petalfit.studio.uploads import Photo, read_upload
 from petalfit.studio.work import CalledOff, Work
-from petalfit.surfaces import AbstractSurface, Pose, value_at, with_value
+from petalfit.surfaces import AbstractSurface, Pose, in_doubles, value_at, with_value
 from petalfit.synthetic import make, make_masks
 
 _RESOLUTION = (65, 65)  # that of `FitResult.mesh`, whose program is compiled already

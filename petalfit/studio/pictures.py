@@ -6,10 +6,9 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image, ImageDraw
 
-from petalfit.fitting.coordinates import in_doubles
 from petalfit.observations import Contour, Silhouette
 from petalfit.report.colour import MASK, POINT, POSITIVE
-from petalfit.surfaces import AbstractSurface, Pose, rings
+from petalfit.surfaces import AbstractSurface, Pose, in_doubles, rings
 
 _SIDE = 640  # pixels of the picture's longer side
 _RESOLUTION = (97, 65)

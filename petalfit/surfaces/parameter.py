@@ -117,6 +117,11 @@ def with_value(model: Tree, name: str, value: Any) -> Tree:
     return eqx.tree_at(attrgetter(name), model, value)
 
 
+def in_doubles(model: Tree) -> Tree:
+    """The model with NumPy's doubles for leaves, so that equal shapes mean the same compiled program."""
+    return jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), model)
+
+
 def batch_of(model: Tree, names: Sequence[str], values: Float[np.ndarray, "k p"]) -> Tree:
     """A batch of k models that differ in some parameters: all leaves have one more axis, the first.
 

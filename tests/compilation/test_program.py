@@ -7,14 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from petalfit.compilation import BLOCK, ExecutableStore, RowProgram, prepared, use_store, watched
+from petalfit.compilation import ROWS, ExecutableStore, RowProgram, prepared, use_store, watched
 
 
 def _shifted(shift: jax.Array, factor: float, rows: jax.Array) -> dict[str, jax.Array]:
     return {"sum": (rows + shift) * factor, "norm": jnp.linalg.norm(rows + shift, axis=-1)}
 
 
-@pytest.mark.parametrize("count", [BLOCK - 1, BLOCK, BLOCK + 1, 2 * BLOCK, 5 * BLOCK])
+@pytest.mark.parametrize("count", [ROWS - 1, ROWS, ROWS + 1, 2 * ROWS, 5 * ROWS])
 def test_rows_are_the_same_in_blocks(count):
     rows = np.random.default_rng(0).standard_normal((count, 3))
     shift = np.array([1.0, 2.0, 3.0])
@@ -30,14 +30,14 @@ def test_more_rows_compile_nothing(tmp_path):
     with jax.enable_x64(True), use_store(ExecutableStore(tmp_path)):
         for blocks in (4, 7):
             with watched("computing") as watch:
-                program(np.zeros(3), 2.0, np.ones((blocks * BLOCK, 3)))
+                program(np.zeros(3), 2.0, np.ones((blocks * ROWS, 3)))
             seconds.append(watch.seconds)
     assert ["compiling" in x for x in seconds] == [True, False]
 
 
 def test_workers_do_not_wait_for_each_other():
     """Each of them splits its rows, for which no worker is left."""
-    program, rows = RowProgram(_shifted, 1), np.ones((4 * BLOCK, 3))
+    program, rows = RowProgram(_shifted, 1), np.ones((4 * ROWS, 3))
     found = []
 
     def work() -> None:

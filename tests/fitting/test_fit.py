@@ -88,6 +88,13 @@ def test_free_parameters_and_a_start(cloud, result):
         assert abs(started.values[name] - result.values[name]) < 0.25 * result.stderr[name]
 
 
+def test_free_heights_of_a_start_that_is_right_otherwise(cloud):
+    petal, points = cloud
+    some = pf.fit(petal, points, free=["a_x", "b_y", "c"])
+    for name in some.names:
+        assert abs(some.values[name] - getattr(petal, name)) < 4 * some.stderr[name]
+
+
 def test_a_given_noise_is_used(cloud):
     assert pf.fit_petal(cloud[1], noise=0.05).noise == 0.05
     strict = pf.fit_petal(cloud[1], noise=0.01)

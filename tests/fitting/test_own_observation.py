@@ -133,7 +133,7 @@ class Cauchy(Linear):
 
 class HeavyTails(AbstractBackground):
     def mixture(self, model, distance, beyond, weights, noise):
-        distance = np.hypot(distance, np.maximum(beyond, 0.0))[: len(weights)]
+        distance = np.hypot(distance, np.maximum(beyond, 0.0))
         sigma = noise or max(spread_of(distance), 1e-12)
         members = 1 / (1 + (distance / (3 * sigma)) ** 2)
         log_likelihood = -float(np.sum(weights * np.log1p((distance / sigma) ** 2)))

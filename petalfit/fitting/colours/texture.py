@@ -27,8 +27,7 @@ def colours_on(surface: AbstractSurface | FitRecord, cloud: PointCloud) -> Textu
     points, model = cloud.points, surface
     if isinstance(surface, FitRecord):
         pose, model = surface.pose, surface.model
-        rotation, shift = np.asarray(pose.rotation), np.asarray(pose.translation)
-        points = (points - shift) @ rotation / float(pose.scale)
+        points = pose.into(points)
     assert isinstance(model, AbstractSurface)
     with jax.enable_x64(True):
         uv = refine_foot_points(model, points, guess_foot_points(model, points), 3)

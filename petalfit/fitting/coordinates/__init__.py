@@ -5,6 +5,5 @@ from petalfit.fitting.coordinates.coordinates import Coordinates as Coordinates
 from petalfit.fitting.coordinates.coordinates import Model as Model
 from petalfit.fitting.coordinates.coordinates import Numbers as Numbers
 from petalfit.fitting.coordinates.coordinates import evenly_spread as evenly_spread
-from petalfit.fitting.coordinates.coordinates import in_doubles as in_doubles
 from petalfit.fitting.coordinates.coordinates import with_values as with_values
 from petalfit.fitting.coordinates.prior import Prior as Prior

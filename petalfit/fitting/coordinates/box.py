@@ -16,10 +16,9 @@ from petalfit.fitting.coordinates.coordinates import (
     Model,
     Numbers,
     gathered,
-    in_doubles,
     replaced,
 )
-from petalfit.surfaces import value_at
+from petalfit.surfaces import in_doubles, value_at
 
 # A positive parameter whose typical range spans a greater factor is taken by its logarithm.
 _WIDE = 4.0

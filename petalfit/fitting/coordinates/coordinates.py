@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any, Generic, TypeAlias, TypeVar
 
@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from petalfit.components import parameters
-from petalfit.surfaces import Scalar, value_at
+from petalfit.surfaces import Scalar, in_doubles, value_at
 
 Model = TypeVar("Model", bound=eqx.Module)
 # NumPy arrays outside of compiled programs, where JAX would compile every little operation.
@@ -101,8 +101,10 @@ class Coordinates(Generic[Model]):
         return gathered(tree, self.free)
 
 
-def replaced(model: Model, names: tuple[str, ...], values: Float[Numbers, " p"]) -> Model:
-    """The model with an array of new values for some of its parameters."""
+def replaced(
+    model: Model, names: tuple[str, ...], values: Float[Numbers, " p"] | Sequence[np.ndarray]
+) -> Model:
+    """The model with new values for some of its parameters."""
     leaves, structure = jax.tree.flatten(model)
     for k, place in enumerate(_places(structure, names)):
         leaves[place] = values[k]
@@ -110,10 +112,10 @@ def replaced(model: Model, names: tuple[str, ...], values: Float[Numbers, " p"])
 
 
 @lru_cache
-def _places(structure: Any, names: tuple[str, ...]) -> list[int]:
+def _places(structure: Any, names: tuple[str, ...]) -> tuple[int, ...]:
     """The indices of parameters among the leaves of a model."""
     numbered = jax.tree.unflatten(structure, range(structure.num_leaves))
-    return [value_at(numbered, name) for name in names]
+    return tuple(value_at(numbered, name) for name in names)
 
 
 def gathered(tree: eqx.Module, names: tuple[str, ...]) -> Array:
@@ -134,9 +136,4 @@ def evenly_spread(count: int, dimension: int) -> Float[np.ndarray, "n d"]:
 def with_values(model: Model, values: Mapping[str, Scalar | np.ndarray]) -> Model:
     """The model with some of its parameters replaced."""
     new = [np.asarray(value, np.float64) for value in values.values()]
-    return eqx.tree_at(lambda m: [value_at(m, name) for name in values], model, new)
-
-
-def in_doubles(model: Model) -> Model:
-    """The model with NumPy's doubles for leaves, so that equal shapes mean the same compiled program."""
-    return jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), model)
+    return replaced(model, tuple(values), new)

@@ -44,8 +44,7 @@ class ComponentFamily(AbstractFamily):
             return None if end is None else _uniformly_covered(end, scan)
 
         best, *others = follow(coordinates, starts, settle)
-        coordinates = Coordinates.of(best.model, request.free)
-        return [with_all_points(coordinates, best, 0, request.cloud), *others]
+        return [with_all_points(best, 0, request.cloud), *others]
 
 
 class RectangleFamily(ComponentFamily):

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from petalfit.compilation import BLOCK, prepared, stage
 from petalfit.components import Posed
-from petalfit.fitting.coordinates import Coordinates, in_doubles, with_values
+from petalfit.fitting.coordinates import with_values
 from petalfit.fitting.families.family import AbstractFamily
 from petalfit.fitting.families.polish import likelier
 from petalfit.fitting.inference.discrepancy import INDEPENDENT, discrepancy_of, temperature
@@ -29,7 +29,7 @@ from petalfit.fitting.solver.observer import report
 from petalfit.fitting.solver.settle import Settled, Settling, begun, settle
 from petalfit.fitting.starts.frame import NormalisedFrame
 from petalfit.observations import PointCloud
-from petalfit.surfaces import AbstractSurface, value_at
+from petalfit.surfaces import AbstractSurface, in_doubles, value_at
 
 # Numbers of points for the search for starts, and for rough steps.
 _SOME = 1536
@@ -194,8 +194,7 @@ class OpenSurfaceFamily(AbstractFamily):
         if large:
             used = used | ends[0].points_used | {"residuals": len(scan.points)}
             ends[0] = dataclasses.replace(ends[0], points_used=used)
-        coordinates = Coordinates.of(ends[0].model, names)
-        return [with_all_points(coordinates, ends[0], 0, request.cloud), *ends[1:]]
+        return [with_all_points(ends[0], 0, request.cloud), *ends[1:]]
 
     def _in_target(
         self, end: Iterate, names: tuple[str, ...], frame: NormalisedFrame, order: np.ndarray

@@ -11,12 +11,11 @@ from jaxtyping import Array, Float
 
 from petalfit.compilation import Program
 from petalfit.components import Posed, parameters
-from petalfit.fitting.coordinates import in_doubles
 from petalfit.fitting.inference.linear_rows import Linear
 from petalfit.observations import PointCloud
 from petalfit.residuals import frame, newton
 from petalfit.results import Draws, FitRecord
-from petalfit.surfaces import AbstractSurface, batch_of, value_at
+from petalfit.surfaces import AbstractSurface, batch_of, in_doubles, value_at
 
 _POINTS = 192  # so many points tell how far the likelihood is from Gaussian
 _ROUNDS = 50  # attempts to draw inside the bounds
@@ -145,13 +144,13 @@ def _log_ratios(
     data, uv, here, by_value = Linear.of(
         model, names, part.target, part.weights, part.noise, part.uv, some
     )
-    slopes = np.asarray(here.slopes) * by_value
-    weights = np.asarray(data.weights) / part.noise**2
-    gradient = slopes.T @ (weights * np.asarray(here.distance))
+    slopes = here.slopes * by_value
+    weights = data.weights / part.noise**2
+    gradient = slopes.T @ (weights * here.distance)
     step = values - centre
     quadratic = 0.5 * np.sum(weights * (step @ slopes.T) ** 2, axis=1) + step @ gradient
     squares = np.asarray(_squares(batch_of(model, names, values), data.points, weights, uv))
-    known = float(np.sum(weights * np.asarray(here.distance) ** 2))
+    known = float(np.sum(weights * here.distance**2))
     return quadratic - 0.5 * (squares - known)
 
 

@@ -10,19 +10,20 @@ from jaxtyping import Float
 
 from petalfit.fitting.coordinates import Coordinates
 from petalfit.fitting.likelihood.foot_points import (
+    beside,
+    distances,
     guess_foot_points,
     nearer_foot_points,
     signed_distance,
     whole_distance,
 )
-from petalfit.fitting.likelihood.linearise import linearise, slopes_at
+from petalfit.fitting.likelihood.linearise import linearise, tangents_at
 from petalfit.fitting.likelihood.mixture import Mixture
 from petalfit.fitting.likelihood.observed import (
     AbstractObserved,
     Residuals,
     ScoreAndInformation,
 )
-from petalfit.fitting.likelihood.programs import beside, distances
 from petalfit.fitting.likelihood.scales import spread_of
 from petalfit.observations import PointCloud
 from petalfit.residuals import (
@@ -148,8 +149,7 @@ class ObservedCloud(AbstractObserved):
         score = np.zeros(len(t))
         for moved in (position + noise, position - noise):
             near, _, _ = slide_foot_points(model, moved, clean, 3)
-            here = frames(model, near)
-            slopes = -slopes_at(coordinates, model, t, near, here.normal, here.position)
+            here, slopes = tangents_at(coordinates, t, near)
             score += slopes.T @ (sample.weights * here.distance(moved)) / 2
         share = np.sum(sample.weights) / np.sum(data.weights)
         score /= share * seen.sigma**2
@@ -160,11 +160,11 @@ class ObservedCloud(AbstractObserved):
         self, coordinates: Coordinates, t: np.ndarray, term: AbstractTerm
     ) -> list[Residuals]:
         assert isinstance(term, TangentDistance)
-        distance = signed_distance(*self.beside(coordinates, t, term))
-        weights = term.data.weights
+        model, weights = coordinates.model(t), term.data.weights
+        distance = signed_distance(*beside(model, self.data.points, term.uv))
         chi2 = comparable(distance, weights)
         if self.weigh is not None:
-            chi2 = -2 * self._mixture(coordinates.model(t), term).log_likelihood
+            chi2 = -2 * self._mixture(model, term).log_likelihood
         return [Residuals(distance, weights, float(term.sigma), "length", chi2, term.uv)]
 
     def rematched(self, model: AbstractSurface, term: TangentDistance) -> TangentDistance | None:
@@ -181,12 +181,6 @@ class ObservedCloud(AbstractObserved):
             return None
         uv = nearer_foot_points(model, points, term.uv, far)
         return None if uv is None else self.at(uv)
-
-    def beside(
-        self, coordinates: Coordinates, t: np.ndarray, term: TangentDistance
-    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-        """Signed normal distances, and distances beyond the edge, negative inside."""
-        return beside(coordinates.model(t), self.data.points, term.uv)
 
 
 def mean_logarithm(data: Data, distances: np.ndarray, weights: np.ndarray) -> float:

@@ -10,9 +10,8 @@ from jaxtyping import Float
 from petalfit.fitting.coordinates import Coordinates
 from petalfit.fitting.likelihood.cells import Cells, condense
 from petalfit.fitting.likelihood.cloud import ObservedCloud, comparable
-from petalfit.fitting.likelihood.foot_points import signed_distance
+from petalfit.fitting.likelihood.foot_points import beside, signed_distance
 from petalfit.fitting.likelihood.observed import Residuals
-from petalfit.fitting.likelihood.programs import beside
 from petalfit.residuals import AbstractTerm, Data, TangentDistance
 from petalfit.surfaces import AbstractSurface
 

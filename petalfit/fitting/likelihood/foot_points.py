@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 from scipy.ndimage import minimum_filter
 
 from petalfit.components import Posed
-from petalfit.fitting.likelihood import programs
-from petalfit.residuals import nearest_nodes, places, refine_foot_points, slide_foot_points
+from petalfit.residuals import (
+    Numbers,
+    frames,
+    nearest_nodes,
+    places,
+    refine_foot_points,
+    slide_foot_points,
+)
 from petalfit.surfaces import AbstractMap, AbstractSurface
 
 _NEARER = 0.9  # another fold must bring the distance below this part of it
@@ -17,7 +23,7 @@ _SOUGHT = 16  # number of doubtful points, the farthest, whose foot points are s
 
 
 def guess_foot_points(
-    model: AbstractSurface, points: Float[Array | np.ndarray, "n 3"]
+    model: AbstractSurface, points: Float[Numbers, "n 3"]
 ) -> Float[np.ndarray, "n 2"]:
     """Guesses (u, v) of foot points, from which the search for them begins.
 
@@ -59,26 +65,39 @@ def nearer_foot_points(
     nodes = np.stack(np.meshgrid(*grid, indexing="ij"), axis=-1)
     fine = places(surface, nodes.reshape(-1, 2)).reshape(_GRID, _GRID, 3)
     found, moved = np.array(uv), False
-    before = programs.distances(surface, own, uv)
+    before = distances(surface, own, uv)
     for k in doubtful[np.argsort(-before[doubtful])][:_SOUGHT]:
         squared = np.sum((fine - own[k]) ** 2, axis=-1)
         minima = np.argwhere(squared == minimum_filter(squared, 3, mode="nearest"))
         starts = nodes[tuple(minima.T)]
         same = np.tile(own[k], (len(starts), 1))
         ends, _, _ = slide_foot_points(surface, same, starts, 12)
-        reached = programs.distances(surface, same, ends)
+        reached = distances(surface, same, ends)
         best = int(np.argmin(reached))
         if reached[best] < _NEARER * before[k]:
             found[k], moved = ends[best], True
     return found if moved else None
 
 
-def straight_below(
-    shadow: AbstractMap, points: Float[Array | np.ndarray, "n 3"]
-) -> Float[np.ndarray, "n 2"]:
+def straight_below(shadow: AbstractMap, points: Float[Numbers, "n 3"]) -> Float[np.ndarray, "n 2"]:
     """(u, v) of the places in the plane z = 0 that lie straight below or above the points."""
     below = np.asarray(points) * np.array([1.0, 1.0, 0.0])
     return refine_foot_points(shadow, below, nearest_nodes(shadow, below), 6)
+
+
+def distances(
+    surface: AbstractMap, points: Float[Numbers, "n 3"], uv: Float[Numbers, "n 2"]
+) -> Float[np.ndarray, " n"]:
+    """Distances from points to their foot points."""
+    return np.linalg.norm(np.asarray(points) - places(surface, uv), axis=-1)
+
+
+def beside(
+    surface: AbstractSurface, points: Float[Numbers, "n 3"], uv: Float[Numbers, "n 2"]
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Signed normal distances, and distances beyond the nearest edge, negative inside."""
+    here = frames(surface, uv)
+    return here.distance(points), np.max(here.beyond(points), axis=-1)
 
 
 def signed_distance(
@@ -94,9 +113,9 @@ def signed_distance(
 
 
 def whole_distance(
-    off: Float[Array | np.ndarray, "n 3"],
-    distance: Float[Array | np.ndarray, " n"],
-    beyond: Float[Array | np.ndarray, "n 2"],
+    off: Float[Numbers, "n 3"],
+    distance: Float[Numbers, " n"],
+    beyond: Float[Numbers, "n 2"],
 ) -> Float[np.ndarray, " n"]:
     """How far points are from the surface, without the part beyond its edges.
 
@@ -121,4 +140,4 @@ def distances_beside(
     Call it inside `jax.enable_x64(True)`.
     """
     uv = refine_foot_points(surface, points, guess_foot_points(surface, points), 3)
-    return *programs.beside(surface, points, uv), uv
+    return *beside(surface, points, uv), uv

@@ -11,6 +11,7 @@ from petalfit.fitting.coordinates import Coordinates, Numbers
 from petalfit.residuals import (
     ContourDistance,
     Data,
+    Frame,
     edge_score,
     estimated_noise,
     frames,
@@ -68,6 +69,15 @@ def slopes_at(
     return slopes * coordinates.slopes(t)
 
 
+def tangents_at(
+    coordinates: Coordinates, t: Float[np.ndarray, " p"], uv: Float[Numbers, "n 2"]
+) -> tuple[Frame, Float[np.ndarray, "n p"]]:
+    """The frames of the model at t, and the derivatives with respect to t of distances from them."""
+    model = coordinates.model(t)
+    here = frames(model, uv)
+    return here, -slopes_at(coordinates, model, t, uv, here.normal, here.position)
+
+
 def contour_slopes(
     coordinates: Coordinates, t: Float[np.ndarray, " p"], term: ContourDistance
 ) -> Float[np.ndarray, "n p"]:
@@ -81,15 +91,12 @@ def linearise(
     coordinates: Coordinates, data: Data, t: Float[np.ndarray, " p"], uv: Float[Numbers, "n 2"]
 ) -> Linearisation:
     """Linearises the distances of a cloud to the surface at t, at given foot points."""
-    model = coordinates.model(t)
-    here = frames(model, uv)
+    here, slopes = tangents_at(coordinates, t, uv)
     distance, beyond = here.distance(data.points), here.beyond(data.points)
     sigma = estimated_noise(data, distance, len(t))
     score = edge_score(beyond / sigma)
-    edge = np.sum(score[..., None] * here.conormals, axis=1)
-    slopes, edge = (
-        -slopes_at(coordinates, model, t, uv, w, here.position) for w in (here.normal, edge)
-    )
+    outward = np.sum(score[..., None] * here.conormals, axis=1)
+    edge = -slopes_at(coordinates, coordinates.model(t), t, uv, outward, here.position)
     root = (np.sqrt(data.weights) / sigma)[:, None]
     information = np.sum([(root * x).T @ (root * x) for x in (slopes, edge)], axis=0)
     # The second derivative of −log Φ(−e) is h(h − e), with h the first one.

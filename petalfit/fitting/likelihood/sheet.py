@@ -31,7 +31,7 @@ from jaxtyping import Array, Float, Int
 from petalfit.compilation import Program, blocks
 from petalfit.fitting.coordinates import Box
 from petalfit.fitting.likelihood.emptiness import Emptiness
-from petalfit.fitting.likelihood.programs import beside, distances
+from petalfit.fitting.likelihood.foot_points import beside, distances
 from petalfit.fitting.likelihood.spans import Spans, between, by_coordinates, spans_of
 from petalfit.residuals import least_places, nearest_nodes, potential, slide_foot_points
 from petalfit.surfaces import AbstractSurface, position_and_tangents

@@ -95,7 +95,7 @@ def clear(
         found = background.mixture(model, *cloud.apart(model, term), weights, noise)
         kept = weights * found.members
         # Only points that may belong to the surface take part in the steps.
-        some = np.flatnonzero(kept > _NONE * np.max(kept))
+        some = np.flatnonzero(kept >= _NONE * np.max(kept))  # all, if none belongs to it
         end = _followed(
             coordinates, model, points[some], kept[some], noise, term.uv[some],
             _AT_ONCE, _TOLERANCE, prior,

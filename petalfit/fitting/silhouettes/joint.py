@@ -148,7 +148,7 @@ def fit_joint(family: AbstractFamily, request: Request) -> list[Iterate]:
     final = _in_order(dataclasses.replace(final, chi2=best.end.chi2), parts)
     for number, target in enumerate(request.targets):
         if isinstance(target, PointCloud):
-            final = with_all_points(coordinates, final, number, target)
+            final = with_all_points(final, number, target)
     return [final, *rest]
 
 

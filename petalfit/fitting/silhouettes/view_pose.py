@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from petalfit.components import Posed, lengths, scales_with_lengths
-from petalfit.fitting.coordinates import Coordinates, in_doubles
+from petalfit.fitting.coordinates import Coordinates
 from petalfit.fitting.families.family import AbstractFamily
 from petalfit.fitting.likelihood.quadrature import Quadrature
 from petalfit.fitting.likelihood.views import ObservedViews
@@ -19,7 +19,7 @@ from petalfit.fitting.silhouettes.observing import Part
 from petalfit.fitting.solver.observer import report
 from petalfit.fitting.starts.support import Shadow, search
 from petalfit.observations import Contour
-from petalfit.surfaces import AbstractSurface, value_at
+from petalfit.surfaces import AbstractSurface, in_doubles, value_at
 
 
 def view_frames(

@@ -6,21 +6,16 @@ import dataclasses
 
 import numpy as np
 
-from petalfit.fitting.coordinates import Coordinates
-from petalfit.fitting.likelihood.foot_points import guess_foot_points, signed_distance
-from petalfit.fitting.likelihood.programs import beside
+from petalfit.fitting.likelihood.foot_points import beside, guess_foot_points, signed_distance
 from petalfit.fitting.solver.iterate import Iterate
 from petalfit.observations import PointCloud
 from petalfit.residuals import refine_foot_points
 
 
-def with_all_points(
-    coordinates: Coordinates, end: Iterate, number: int, cloud: PointCloud
-) -> Iterate:
+def with_all_points(end: Iterate, number: int, cloud: PointCloud) -> Iterate:
     """The end of a fit with the residuals of all points of a cloud, including those without weight.
 
     Args:
-        coordinates: The free parameters.
         end: The end. Its residuals are those of the points with weight.
         number: The index of the cloud among the observations.
         cloud: The cloud.

@@ -35,7 +35,7 @@ def solve_differentiably(
     t: Float[Array, " p"],
     uv: Float[Array, "n 2"],
     max_steps: int = 100,
-    tolerance: float = 1e-10,
+    tolerance: float = 1e-8,
 ) -> Float[Array, " p"]:
     """The end of a fit as a differentiable function of `data` and of the fixed parameters.
 
@@ -47,10 +47,14 @@ def solve_differentiably(
         uv: Foot points to start from.
         max_steps: Upper bound of the steps; the theorem holds for a converged fit only.
         tolerance: Stop when t and the gradient of the cost change by less than this, relative to 1 and
-            to their size.
+            to their size. The steps converge quadratically, so the last error is far smaller; rounding
+            of the gradient forbids much less.
 
     Returns:
         The coordinates t of the minimum; `coordinates.values` turns them into parameters.
+
+    Raises:
+        RuntimeError: The steps do not converge.
     """
     start, uv = jax.lax.stop_gradient((t, uv))
     leaves, structure = jax.tree.flatten((coordinates, data))
@@ -65,7 +69,6 @@ def solve_differentiably(
         start,
         args=leaves,
         max_steps=max_steps,
-        throw=False,
     )
     return found.value
 

@@ -36,10 +36,10 @@ class Glimpse:
         points, distances = [np.empty((0, 3))], [np.empty(0)]
         for term in terms:
             if isinstance(term, TangentDistance):
-                used = np.asarray(term.data.weights) > 0
-                points.append(np.asarray(term.data.points)[used])
+                used = term.data.weights > 0
+                points.append(term.data.points[used])
                 here = frames(model, term.uv)
-                distances.append(np.asarray(here.distance(term.data.points))[used])
+                distances.append(here.distance(term.data.points)[used])
         return cls(model, np.concatenate(points), np.concatenate(distances))
 
 

@@ -8,7 +8,9 @@ fit. Derivatives of a fit with respect to its data are in `petalfit.fitting.solv
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -24,9 +26,8 @@ from petalfit.surfaces import AbstractSurface
 _GAIN = 15.0
 _FREE_ROUNDS = 8  # rounds with full steps
 _STEPS = 5  # in a round
-_ENOUGH = (
-    1e-2  # a change of all variables and residuals, relative to 1 and to their size, ends a round
-)
+# A smaller change of all variables and residuals, relative to 1 and to their size, ends a round.
+_ENOUGH = 1e-2
 # A step is taken if it lowers the cost by this share of what was expected, and damping changes after a
 # step that was not taken, and after one that lowered the cost nearly as expected.
 _TAKEN, _AS_EXPECTED, _MORE, _LESS = 0.01, 0.99, 4.0, 1 / 3.5
@@ -50,7 +51,8 @@ class State(NamedTuple):
     shrunk: float
 
 
-class _Round(NamedTuple):
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Round:
     """The constants of one round: the terms with their foot points, and the linear part of the cost.
 
     The variables z of a round are the coordinates t whitened by the information at the start, so that
@@ -65,12 +67,12 @@ class _Round(NamedTuple):
     origin: Float[np.ndarray, " p"]
     whitening: Float[np.ndarray, "p p"]
 
-    @property
+    @cached_property
     def uv(self) -> Float[np.ndarray, "k 2"]:
         """The places of all terms in sequence."""
         return np.concatenate([part.uv for part in self.parts])
 
-    @property
+    @cached_property
     def firsts(self) -> list[int]:
         """The index of the first place of each term."""
         return [0, *itertools.accumulate(len(part.uv) for part in self.parts[:-1])]
@@ -102,8 +104,7 @@ class _Round(NamedTuple):
         covectors = np.concatenate([part for _, part in found])
         t = self.place(trial.z)
         position = np.concatenate(trial.position)[index]
-        uv = self.uv[index]
-        rows = slopes_at(self.coordinates, trial.model, t, uv, covectors, position)
+        rows = slopes_at(self.coordinates, trial.model, t, self.uv[index], covectors, position)
         tilt = self.tilt / np.sqrt(2 * _constant(rows))
         known = np.asarray(self.prior.root)[:, None] * self.whitening
         return self.gain * np.concatenate([rows @ self.whitening, tilt[None], known])

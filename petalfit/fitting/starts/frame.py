@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from petalfit.components import Posed
-from petalfit.fitting.coordinates import in_doubles
 from petalfit.fitting.likelihood.observed import Residuals
+from petalfit.surfaces import in_doubles
 
 # Points are rounded to this grain, relative to the extent; no instrument is so precise. If a cloud is
 # given turned or in another unit, its points differ by the last bits of float64. With these cut off, the

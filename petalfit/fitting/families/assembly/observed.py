@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Float
 
 from petalfit.components import AbstractAssembly
-from petalfit.fitting.coordinates import Coordinates, in_doubles
+from petalfit.fitting.coordinates import Coordinates
 from petalfit.fitting.families.assembly.parts_distance import PartsDistance
-from petalfit.fitting.likelihood import programs
 from petalfit.fitting.likelihood.cloud import ObservedCloud, comparable, mean_logarithm
+from petalfit.fitting.likelihood.foot_points import distances
 from petalfit.fitting.likelihood.linearise import linearise
 from petalfit.fitting.likelihood.observed import (
     AbstractObserved,
@@ -64,14 +64,12 @@ class ObservedParts(AbstractObserved):
         points, feet, gaps = self.data.points, [], []
         for k, (pose, surface) in enumerate(cast(AbstractAssembly, model).parts().values()):
             # Points are taken to the part's own frame, so that parts of one kind share their programs.
-            rotation, shift = np.asarray(pose.rotation), np.asarray(pose.translation)
-            own = (points - shift) @ rotation / float(pose.scale)
-            surface = in_doubles(surface)
+            own = pose.into(points)
             known = isinstance(term, PartsDistance)
             start = term.terms[k].uv if known else nearest_nodes(surface, own)
             uv = refine_foot_points(surface, own, start, 2 if known else 6)
             feet.append(uv)
-            gaps.append(np.asarray(programs.distances(surface, own, uv)) * float(pose.scale))
+            gaps.append(distances(surface, own, uv) * float(pose.scale))
         return feet, np.stack(gaps)
 
     def misfit(self, model: AbstractSurface) -> float:
@@ -88,10 +86,10 @@ class ObservedParts(AbstractObserved):
             for k, part in enumerate(term.terms)
         ]
         counts = np.array([float(np.sum(part.data.weights)) for part in term.terms])
-        sigmas = np.array([float(seen.sigma) for seen in surveys])
+        sigmas = np.array([seen.sigma for seen in surveys])
         sigma = float(np.sqrt(np.sum(counts * sigmas**2) / np.sum(counts)))
         information = np.sum(
-            [np.asarray(seen.information) * (own / sigma) ** 2
+            [seen.information * (own / sigma) ** 2
              for seen, own in zip(surveys, sigmas, strict=True)], axis=0)  # fmt: skip
         return information, sigma
 
@@ -99,7 +97,7 @@ class ObservedParts(AbstractObserved):
         self, coordinates: Coordinates, t: np.ndarray, term: AbstractTerm
     ) -> ScoreAndInformation:
         assert isinstance(term, PartsDistance)
-        noise = float(term.sigma)
+        noise = term.sigma
         found = []
         for k, part in enumerate(term.terms):
             data = part.data._replace(sigma=noise)
@@ -123,7 +121,7 @@ class ObservedParts(AbstractObserved):
         distance = np.choose(owner, [part.distance for part in parts])
         weights = self.data.weights
         chi2 = comparable(distance, weights)
-        return [Residuals(distance, weights, float(term.sigma), "length", chi2)]
+        return [Residuals(distance, weights, term.sigma, "length", chi2)]
 
 
 def _shares(gaps: Float[np.ndarray, "k n"], sigma: float) -> Float[np.ndarray, "k n"]:

@@ -47,14 +47,9 @@ class PartsDistance(AbstractTerm):
         total = max(np.sum(counts) - free, 1.0)
         sigma = float(np.sqrt(np.sum(counts * variances) / total))
         pull = Pull(*(np.concatenate(arrays) for arrays in zip(*pulls, strict=True)))
-        held = [with_sigma(frozen, sigma) for frozen in held]
+        held = [dataclasses.replace(frozen, sigma=sigma) for frozen in held]
         frozen = FrozenParts.of(surface, held)
         return PartsDistance(terms=tuple(renewed), sigma=sigma), frozen, pull
-
-
-def with_sigma(frozen: FrozenDistance, sigma: float) -> FrozenDistance:
-    """The same distances in units of another noise."""
-    return dataclasses.replace(frozen, sigma=sigma)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ from typing import ClassVar, cast
 import numpy as np
 
 from petalfit.components import PeonyPetal, Posed
-from petalfit.fitting.coordinates import Coordinates, Prior, in_doubles, with_values
+from petalfit.fitting.coordinates import Coordinates, Prior, with_values
 from petalfit.fitting.families.family import AbstractFamily
 from petalfit.fitting.families.peony.known import known_starts
 from petalfit.fitting.families.peony.outline import HEIGHTS
@@ -36,7 +36,7 @@ from petalfit.fitting.solver.iterate import Iterate
 from petalfit.fitting.solver.observer import report
 from petalfit.fitting.starts.frame import NormalisedFrame
 from petalfit.residuals import Data
-from petalfit.surfaces import AbstractSurface, Pose, turn_between
+from petalfit.surfaces import AbstractSurface, Pose, in_doubles, turn_between
 
 # Further ribs that gain more than this in χ² on the residuals of an end show that it is wrong. By chance
 # alone, the best of 200 frequencies gains 10.
@@ -81,8 +81,7 @@ class PeonyFamily(AbstractFamily):
             found = _from_anywhere(template, free, request.pose, scan)
             ends = [_in_target(end, frame) for end in found]
         best, *others = ends
-        coordinates = Coordinates.of(best.model, names)
-        return [with_all_points(coordinates, best, 0, request.cloud), *others]
+        return [with_all_points(best, 0, request.cloud), *others]
 
     def rough(self, coordinates: Coordinates) -> Coordinates:
         """Coordinates of a petal without ribs, if they are free."""
@@ -229,7 +228,7 @@ def _ribs_left(coordinates: Coordinates, scan: Scan, end: Iterate) -> bool:
     (seen,) = end.residuals
     assert seen.uv is not None
     some = scan.order[:BIAS_POINTS]
-    data = Data.of(scan.points[some], np.asarray(seen.weights)[some], seen.noise)
+    data = Data.of(scan.points[some], seen.weights[some], seen.noise)
     return explaining(coordinates.around(end.model), data, seen.uv[some])[0].gain > _RIBS_LEFT
 
 

@@ -76,6 +76,6 @@ def _with_heights(
     heights = Heights.of(outline, coordinates.free, data)
     if not heights.names:
         return outline, heights.uv
-    weights = np.asarray(data.weights)
+    weights = data.weights
     amplitudes = fit_amplitudes(heights.above, heights.basis, weights)
     return with_values(outline, dict(zip(heights.names, amplitudes, strict=True))), heights.uv

@@ -9,14 +9,15 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import NamedTuple
 
+import jax
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float
 
+from petalfit.compilation import Program
 from petalfit.components import PeonyPetal, parameters
 from petalfit.fitting.coordinates import Coordinates, evenly_spread, with_values
-from petalfit.fitting.likelihood import programs
 from petalfit.fitting.likelihood.foot_points import straight_below
-from petalfit.fitting.likelihood.linearise import linearise
+from petalfit.fitting.likelihood.linearise import tangents_at
 from petalfit.residuals import Data
 
 OUTLINE = ("a_x", "b_y", "c")
@@ -42,6 +43,14 @@ _OUTLINE_UV = np.concatenate(
         np.stack([np.full(25, 0.5), _EDGE + 0.5], -1),
     ]
 )
+
+
+def _positions(petals: PeonyPetal, uv: Float[Array, "n 2"]) -> Float[Array, "k n 3"]:
+    """Positions on a batch of petals, whose leaves have shape (k,)."""
+    return jax.vmap(lambda petal: petal.position(uv[:, 0], uv[:, 1]))(petals)
+
+
+_outline_places = Program(_positions)
 
 
 class OutlineSearch(NamedTuple):
@@ -85,7 +94,7 @@ class OutlineSearch(NamedTuple):
             _repeated(self.plane, dict(zip(OUTLINE, batch.T, strict=True)))
             for batch in np.split(values, len(values) // _BATCH)
         ]
-        places = [np.asarray(programs.positions(batch, _OUTLINE_UV)) for batch in outlines]
+        places = [np.asarray(_outline_places(batch, _OUTLINE_UV)) for batch in outlines]
         return np.concatenate(places)[..., :2]
 
 
@@ -151,13 +160,13 @@ class Heights(NamedTuple):
         uv = straight_below(plane.shadow, data.points)
         here = Coordinates.of(plane, names)
         t = here.inverse(plane)
-        seen = linearise(here, data, t, uv)
+        seen, slopes = tangents_at(here, t, uv)
         # A point straight above its foot point has the distance n_z (z - S_z); S_z is linear in the
         # amplitudes.
-        n_z = np.asarray(seen.normal)[:, 2]
+        n_z = seen.normal[:, 2]
         n_z = np.where(np.abs(n_z) > 1e-3, n_z, np.inf)
-        basis = -np.asarray(seen.slopes) / here.slopes(t) / n_z[:, None]
-        return cls(names, basis, np.asarray(seen.distance) / n_z, uv)
+        basis = -slopes / here.slopes(t) / n_z[:, None]
+        return cls(names, basis, seen.distance(data.points) / n_z, uv)
 
 
 def fit_amplitudes(

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from petalfit.components import PeonyPetal, Posed
 from petalfit.fitting.coordinates import Coordinates, with_values
 from petalfit.fitting.likelihood.cloud import ObservedCloud
-from petalfit.fitting.likelihood.linearise import linearise
+from petalfit.fitting.likelihood.linearise import tangents_at
 from petalfit.residuals import AbstractTerm, Data
 from petalfit.surfaces import AbstractSurface, value_at
 
@@ -152,7 +152,7 @@ def explaining(
     Distances that the free parameters of the petal can explain are left out.
     """
     petal = coordinates.template
-    seen = linearise(coordinates, data, coordinates.inverse(petal), uv)
+    seen, slopes = tangents_at(coordinates, coordinates.inverse(petal), uv)
     fixed = "rib_frequency" not in coordinates.free
     # Ribs rise along the petal's own z axis.
     up, unit = np.array([0.0, 0.0, 1.0]), 1.0
@@ -161,9 +161,9 @@ def explaining(
         up, unit = np.asarray(place.rotation)[:, 2], float(place.scale)
     return rib_periodogram(
         float(value_at(petal, "rib_frequency")) if fixed else None,
-        np.asarray(seen.distance) / unit,
-        np.asarray(seen.normal) @ up,
-        np.asarray(data.weights),
+        seen.distance(data.points) / unit,
+        seen.normal @ up,
+        data.weights,
         np.asarray(uv),
-        np.asarray(seen.slopes)[:, coordinates.active > 0],
+        slopes[:, coordinates.active > 0],
     )

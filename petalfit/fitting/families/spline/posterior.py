@@ -118,7 +118,7 @@ def _empty(surface: SplinePetal, uv: Float[np.ndarray, "n 2"]) -> tuple[float, f
     """The parts of the area that have hardly any points: along the edges, and in holes."""
     side = np.linspace(0, 1, _CELLS + 1)
     corners = np.stack(np.meshgrid(side - 0.5, side, indexing="ij"), axis=-1).reshape(-1, 2)
-    grid = np.asarray(places(surface, corners)).reshape(_CELLS + 1, _CELLS + 1, 3)
+    grid = places(surface, corners).reshape(_CELLS + 1, _CELLS + 1, 3)
     diagonals = grid[1:, 1:] - grid[:-1, :-1], grid[1:, :-1] - grid[:-1, 1:]
     area = 0.5 * np.linalg.norm(np.cross(*diagonals), axis=-1)
     count, _, _ = np.histogram2d(*uv.T, bins=[side - 0.5, side])
