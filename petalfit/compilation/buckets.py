@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 BLOCK = 512  # points that the likelihood of a sheet takes at once
-ROWS = 768  # of a `RowProgram` at once: with fewer, a call takes as long as what it computes
+ROWS = 2048  # that a `RowProgram` takes at once, at most
 
 
 def bucket(n: int) -> int:
@@ -19,13 +19,13 @@ def pad_to(rows: np.ndarray, size: int) -> np.ndarray:
     return np.concatenate([rows, np.repeat(rows[:1], size - len(rows), axis=0)])
 
 
-def blocks(rows: np.ndarray, padding: float | None = None, size: int = BLOCK) -> list[np.ndarray]:
+def blocks(rows: np.ndarray, padding: float | None = None) -> list[np.ndarray]:
     """The rows in blocks of one size; the last one is filled up with `padding`, or the first row.
 
     No rows make one block of zeros.
     """
-    number = max(-(-len(rows) // size), 1)
+    number = max(-(-len(rows) // BLOCK), 1)
     empty = np.zeros((1, *rows.shape[1:]), rows.dtype)
     fill = (rows[:1] if len(rows) else empty) if padding is None else empty + padding
-    filled = [rows, np.repeat(fill, number * size - len(rows), axis=0)]
+    filled = [rows, np.repeat(fill, number * BLOCK - len(rows), axis=0)]
     return np.split(np.concatenate(filled), number)

@@ -7,13 +7,14 @@ import os
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache
+from functools import cache, wraps
 from typing import Any, Generic, TypeVar
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from petalfit.compilation.buckets import ROWS, blocks
+from petalfit.compilation.buckets import ROWS
 from petalfit.compilation.stopwatch import stage, unwatched
 from petalfit.compilation.store import current_store, is_double
 
@@ -48,31 +49,78 @@ class Program(Generic[R]):
         return _side_by_side(program, [jax.tree.leaves(args) for args in calls])
 
 
-class RowProgram(Program[R]):
+class RowProgram:
     """A program that treats all rows alike and alone, so that no number of them compiles another one.
 
-    The rows are computed in blocks, side by side.
+    It loops over short blocks of rows, as many as there are: a few rows take a short time, and what is
+    computed of a block stays in the processor's cache. Many rows are shared among the cores.
 
     Args:
-        function: The function. Its result is an array, or a tree of arrays, with a row for each row.
+        function: The function. Its result is an array with a row for each row.
         count: The number of arguments that have rows, the last ones.
     """
 
-    def __init__(self, function: Callable[..., R], count: int) -> None:
-        super().__init__(function)
+    def __init__(self, function: Callable[..., jax.Array], count: int) -> None:
+        self._function = _by_blocks(function, count)
         self._count = count
 
-    def __call__(self, *args: Any) -> R:
-        """The result of the function, in arrays of NumPy."""
-        others, rows = args[: -self._count], args[-self._count :]
-        split = [blocks(np.asarray(part), size=ROWS) for part in rows]
-        leaves, structure = jax.tree.flatten((*others, *(part[0] for part in split)))
+    def __call__(self, *args: Any) -> np.ndarray:
+        """The rows of the result."""
+        others, rows = args[: -self._count], [np.asarray(x) for x in args[-self._count :]]
+        parts = _parts(len(rows[0]))
+        filled = [[_filled(x[part]) for x in rows] for part in parts]
+        leaves, structure = jax.tree.flatten((np.float64(0), *others, *filled[0]))
         program = current_store().program(self._function, structure, leaves)
-        same = leaves[: -self._count]
-        found = _side_by_side(program, [[*same, *block] for block in zip(*split, strict=True)])
-        size = len(rows[0])
-        # NumPy's concatenation compiles nothing for a new number of blocks, as jax's would.
-        return jax.tree.map(lambda *parts: np.concatenate(parts)[:size], *found)
+        same = leaves[1 : -self._count]
+        counts = [np.float64(-(-(part.stop - part.start) // _block())) for part in parts]
+        calls = [[count, *same, *own] for count, own in zip(counts, filled, strict=True)]
+        found = _side_by_side(program, calls)
+        return np.concatenate(
+            [x[: part.stop - part.start] for x, part in zip(found, parts, strict=True)]
+        )
+
+
+def _by_blocks(function: Callable[..., jax.Array], count: int) -> Callable[..., jax.Array]:
+    """A function like the given one, for the first blocks of its rows; the other rows are zero."""
+
+    @wraps(function)
+    def looped(number: jax.Array, *args: Any) -> jax.Array:
+        others, rows = args[:-count], args[-count:]
+
+        def block(first: jax.Array | int) -> jax.Array:
+            some = [jax.lax.dynamic_slice_in_dim(x, first, _block()) for x in rows]
+            return function(*others, *some)
+
+        def step(k: jax.Array, found: jax.Array) -> jax.Array:
+            first = k * _block()
+            return jax.lax.dynamic_update_slice_in_dim(found, block(first), first, 0)
+
+        like = jax.eval_shape(block, 0)
+        found = jnp.zeros((ROWS, *like.shape[1:]), like.dtype)
+        return jax.lax.fori_loop(0, number.astype(int), step, found)
+
+    return looped
+
+
+@cache
+def _block() -> int:
+    """The rows of a block: few on a processor, and all on a device that computes them side by side."""
+    return 128 if jax.default_backend() == "cpu" else ROWS
+
+
+def _parts(size: int) -> list[slice]:
+    """Parts of so many rows: nearly equal, of whole blocks but for the last one."""
+    number = max(-(-size // ROWS), 1)
+    length = max(-(-size // (number * _block())), 1) * _block()
+    return [slice(k, min(k + length, size)) for k in range(0, max(size, 1), length)]
+
+
+def _filled(rows: np.ndarray) -> np.ndarray:
+    """The rows in an array of `ROWS` rows. A block that is not full has copies of the first one."""
+    found = np.zeros((ROWS, *rows.shape[1:]), rows.dtype)
+    found[: len(rows)] = rows
+    found[len(rows) : len(rows) + _block()] = rows[:1] if len(rows) else 0
+    return found
 
 
 def _side_by_side(program: Callable, calls: Sequence[list]) -> list:

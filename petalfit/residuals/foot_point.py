@@ -12,21 +12,6 @@ from jaxtyping import Array, Float, Int
 from petalfit.surfaces import AbstractMap
 
 
-def nearest_nodes(surface: AbstractMap, points: Float[Array, "n 3"]) -> Float[Array, "n 2"]:
-    """The nearest of 17 × 17 places of the domain for each point: coarse starts of foot points."""
-    (u_low, u_high), (v_low, v_high) = surface.domain
-    fraction = (np.arange(_NODES) + 0.5) / _NODES
-    u, v = np.meshgrid(fraction, fraction, indexing="ij")
-    u, v = u_low + (u_high - u_low) * u.ravel(), v_low + (v_high - v_low) * v.ravel()
-    nodes = surface.position(jnp.asarray(u), jnp.asarray(v))
-    squares = jnp.sum(nodes**2, axis=-1)
-    # Computed in batches, because all squared distances of a large cloud would take gigabytes.
-    index = jax.lax.map(
-        lambda x: jnp.argmin(squares - 2.0 * nodes @ x), points, batch_size=min(len(points), 4096)
-    )
-    return jnp.stack([jnp.asarray(u)[index], jnp.asarray(v)[index]], axis=-1)
-
-
 def half_squared_distance(
     surface: AbstractMap, uv: Float[Array, "2"], x: Float[Array, "3"]
 ) -> Float[Array, ""]:
@@ -42,7 +27,7 @@ def limits(surface: AbstractMap) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
 
 
 _ENDLESS = 1e6
-_NODES = 17
+_STILL = 1e-8  # a shorter step is not made: it changes a distance by its square
 
 
 def newton(
@@ -90,7 +75,7 @@ def least_places(
     Args:
         expand: Costs, their gradients and their Hessians at given places, shapes (n,), (n, 2), (n, 2, 2).
         uv: The start of every point.
-        iterations: The number of steps.
+        iterations: Upper bound of the steps; they end when no point moves any more.
         low: The least u and v.
         high: The greatest u and v.
 
@@ -99,8 +84,12 @@ def least_places(
         most doubtful, followed by those that are weakly determined.
     """
 
-    def step(_: Array, state: tuple) -> tuple:
-        uv, move, _, value, gradient, hessian, damping = state
+    def goes_on(state: tuple) -> Array:
+        count, _, move, *_ = state
+        return (count <= iterations) & ((count == 0) | jnp.any(jnp.abs(move) > _STILL))
+
+    def step(state: tuple) -> tuple:
+        count, uv, move, _, value, gradient, hessian, damping = state
         trial = jnp.clip(uv + move, low, high)
         expansion = expand(trial)
         better = expansion[0] <= value
@@ -112,13 +101,13 @@ def least_places(
         move, weakness = _newton_step(uv, gradient, hessian, damping, low, high)
         step = jnp.max(jnp.abs(move), axis=-1)
         doubt = jnp.where(step > 1e-6, 10.0 + step, weakness)
-        return uv, move, doubt, value, gradient, hessian, damping
+        return count + 1, uv, move, doubt, value, gradient, hessian, damping
 
     # The first pass only evaluates the expansion at the start.
     n = len(uv)
     flat = (jnp.full(n, jnp.inf), jnp.zeros((n, 2)), jnp.zeros((n, 2, 2)))
-    state = (uv, jnp.zeros((n, 2)), jnp.zeros(n), *flat, jnp.zeros(n))
-    uv, _, doubt, value, *_ = jax.lax.fori_loop(0, iterations + 1, step, state)
+    state = (0, uv, jnp.zeros((n, 2)), jnp.zeros(n), *flat, jnp.zeros(n))
+    _, uv, _, doubt, value, *_ = jax.lax.while_loop(goes_on, step, state)
     return uv, doubt, value
 
 

@@ -8,18 +8,23 @@ Call them inside `jax.enable_x64(True)`.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 from scipy.spatial.transform import Rotation
 
 from petalfit.compilation import RowProgram
 from petalfit.components import Posed
-from petalfit.residuals import contact, foot_point
-from petalfit.residuals.contact import Frame, Numbers
+from petalfit.residuals.contact import Frame, Numbers, frame, pull_back
+from petalfit.residuals.foot_point import newton
 from petalfit.surfaces import AbstractMap, AbstractSurface, in_doubles, value_at
 
+_NODES = 17  # per side of the domain
+_AT_ONCE = 4096  # points
 _SMALL = 1e-8  # rad, below which the derivatives of a turn are those at none
 
 
@@ -34,7 +39,9 @@ def places(surface: AbstractMap, uv: Float[Numbers, "n 2"]) -> Float[np.ndarray,
 def frames(surface: AbstractSurface, uv: Float[Numbers, "n 2"]) -> Frame:
     """The frames of a surface at foot points."""
     if not isinstance(surface, Posed):
-        return _frames(in_doubles(surface), uv)
+        return Frame(
+            *_split(_frames(in_doubles(surface), uv), ((3,), (3,), (2, 3), (2,), (2,), ()))
+        )
     here, (turn, shift, scale) = frames(surface.surface, uv), surface.similarity_in_numpy
     return Frame(
         here.position @ (scale * turn.T) + shift,
@@ -48,9 +55,15 @@ def frames(surface: AbstractSurface, uv: Float[Numbers, "n 2"]) -> Frame:
 
 def nearest_nodes(surface: AbstractMap, points: Float[Numbers, "n 3"]) -> Float[np.ndarray, "n 2"]:
     """The nearest of 17 × 17 places of the domain for each point: coarse starts of foot points."""
-    if isinstance(surface, Posed):
-        return nearest_nodes(surface.surface, _into(surface, points))
-    return _nearest_nodes(in_doubles(surface), points)
+    low, high = np.array(surface.domain).T
+    fraction = (np.arange(_NODES) + 0.5) / _NODES
+    share = np.stack(np.meshgrid(fraction, fraction, indexing="ij"), axis=-1).reshape(-1, 2)
+    uv = low + (high - low) * share
+    nodes = places(surface, uv)
+    squares, points = np.sum(nodes**2, axis=-1), np.asarray(points)
+    # All squared distances of a large cloud at once would take gigabytes.
+    some = np.split(points, range(_AT_ONCE, len(points), _AT_ONCE))
+    return uv[np.concatenate([np.argmin(squares - 2.0 * x @ nodes.T, axis=-1) for x in some])]
 
 
 def slide_foot_points(
@@ -67,7 +80,9 @@ def slide_foot_points(
     """
     if isinstance(surface, Posed):
         return slide_foot_points(surface.surface, _into(surface, points), uv, iterations)
-    return _slide(in_doubles(surface), np.int64(iterations), points, uv)
+    rows = _slide(in_doubles(surface), np.float64(iterations), points, uv)
+    uv, doubt, squared = _split(rows, ((2,), (), ()))
+    return uv, doubt, squared
 
 
 def pulled(
@@ -86,7 +101,9 @@ def pulled(
         names: Names of the parameters.
         position: The positions S of the places, shape (n, 3).
     """
-    some = np.flatnonzero(np.any(covectors != 0, axis=1))
+    some = np.any(covectors != 0, axis=1)
+    if np.all(some):
+        return _pulled_by(surface, np.asarray(uv), covectors, names, position)
     found = np.zeros((len(covectors), len(names)))
     uv, covectors, position = np.asarray(uv)[some], covectors[some], position[some]
     found[some] = _pulled_by(surface, uv, covectors, names, position)
@@ -101,9 +118,8 @@ def _pulled_by(
     position: np.ndarray,
 ) -> Float[np.ndarray, "n p"]:
     if not isinstance(surface, Posed):
-        tree = _pulled(in_doubles(surface), uv, covectors)
-        columns = [value_at(tree, name) for name in names]
-        return np.stack(columns, axis=-1) if names else np.zeros((len(uv), 0))
+        rows = _pulled(in_doubles(surface), uv, covectors)
+        return rows[:, _columns(surface, names)]
     (turn, _, scale), unit = surface.similarity_in_numpy, float(surface.unit)
     own = [name for name in names if name not in Posed.similarity]
     here = _into(surface, position)
@@ -115,6 +131,14 @@ def _pulled_by(
     for name, slope in zip(Posed.rigid[3:], _by_turn(surface), strict=True):
         found[name] = scale * np.sum(covectors * (here @ (fixed @ slope).T), axis=1)
     return np.stack([found[name] for name in names], axis=-1)
+
+
+def _columns(surface: AbstractSurface, names: Sequence[str]) -> list[int]:
+    """The columns of `_pull_back` that belong to parameters."""
+    leaves, structure = jax.tree.flatten(surface)
+    first = np.cumsum([0, *map(np.size, leaves)])[:-1]
+    tree = jax.tree.unflatten(structure, first.tolist())
+    return [value_at(tree, name) for name in names]
 
 
 def _into(posed: Posed, points: Float[Numbers, "n 3"]) -> Float[np.ndarray, "n 3"]:
@@ -144,21 +168,41 @@ def _cross(vector: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
-def _slid(
-    surface: AbstractMap,
-    iterations: Int[Array, ""],
-    points: Float[Array, "n 3"],
-    uv: Float[Array, "n 2"],
-) -> tuple[Array, Array, Array]:
-    return foot_point.newton(surface, points, uv, iterations)
+def _split(rows: np.ndarray, shapes: Sequence[tuple[int, ...]]) -> tuple[np.ndarray, ...]:
+    """The arrays of which `_joined` has made rows, of which each row had such a shape."""
+    ends = np.cumsum([0, *(np.prod(shape, dtype=int) for shape in shapes)])
+    parts = zip(pairwise(ends), shapes, strict=True)
+    return tuple(rows[:, a:b].reshape(-1, *shape) for (a, b), shape in parts)
+
+
+def _joined(arrays: Any) -> Float[Array, "n k"]:
+    """Arrays in one, side by side: each result of a program takes time."""
+    leaves = jax.tree.leaves(arrays)
+    return jnp.concatenate([leaf.reshape(len(leaf), -1) for leaf in leaves], axis=1)
 
 
 def _position(surface: AbstractMap, uv: Float[Array, "n 2"]) -> Float[Array, "n 3"]:
     return surface.position(uv[:, 0], uv[:, 1])
 
 
-_places: RowProgram[Any] = RowProgram(_position, 1)
-_frames: RowProgram[Frame] = RowProgram(contact.frame, 1)
-_nearest_nodes: RowProgram[Any] = RowProgram(foot_point.nearest_nodes, 1)
-_slide: RowProgram[Any] = RowProgram(_slid, 2)
-_pulled: RowProgram[Any] = RowProgram(contact.pull_back, 2)
+def _frame(surface: AbstractSurface, uv: Float[Array, "n 2"]) -> Float[Array, "n 17"]:
+    return _joined(frame(surface, uv))
+
+
+def _slid(
+    surface: AbstractMap,
+    iterations: Float[Array, ""],
+    points: Float[Array, "n 3"],
+    uv: Float[Array, "n 2"],
+) -> Float[Array, "n 4"]:
+    return _joined(newton(surface, points, uv, iterations.astype(int)))
+
+
+def _pull_back(
+    surface: AbstractSurface, uv: Float[Array, "n 2"], covectors: Float[Array, "n 3"]
+) -> Float[Array, "n k"]:
+    return _joined(pull_back(surface, uv, covectors))
+
+
+_places, _frames = RowProgram(_position, 1), RowProgram(_frame, 1)
+_slide, _pulled = RowProgram(_slid, 2), RowProgram(_pull_back, 2)

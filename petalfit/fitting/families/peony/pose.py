@@ -328,9 +328,10 @@ def _support(
     """The support functions of outlines turned by angles: how far they reach along the rays."""
     cosine, sine = np.cos(angles)[:, None], np.sin(angles)[:, None]
     rays = np.stack(
-        [cosine * _RAYS[:, 0] + sine * _RAYS[:, 1], cosine * _RAYS[:, 1] - sine * _RAYS[:, 0]]
+        [cosine * _RAYS[:, 0] + sine * _RAYS[:, 1], cosine * _RAYS[:, 1] - sine * _RAYS[:, 0]],
+        axis=1,
     )
-    return np.max(np.einsum("kmi,ikd->kmd", edges, rays), axis=1)
+    return np.max(edges @ rays, axis=1)
 
 
 def _scores(
