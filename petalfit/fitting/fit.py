@@ -29,6 +29,7 @@ from petalfit.fitting.request.targets import as_targets, with_noise_of_points
 from petalfit.fitting.result import FitResult
 from petalfit.fitting.run import run
 from petalfit.fitting.solver.observer import prefixed, report, reporting_to
+from petalfit.fitting.solver.threads import one_thread
 from petalfit.fitting.summary import summarise
 from petalfit.observations import (
     IMAGE_SUFFIXES,
@@ -159,7 +160,7 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
         every_point=every_point,
     )
     sigma = checks.valid_noise(noise)
-    with reporting_to(progress) as seconds:
+    with one_thread(), reporting_to(progress) as seconds:
         if is_pattern(model):
             unused = {
                 "pose": pose != "known",

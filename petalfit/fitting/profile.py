@@ -14,6 +14,7 @@ from petalfit.fitting.request.request import Request
 from petalfit.fitting.run import run
 from petalfit.fitting.solver.iterate import Iterate
 from petalfit.fitting.solver.observer import reporting_to
+from petalfit.fitting.solver.threads import one_thread
 from petalfit.observations import TargetError
 from petalfit.results import FitRecord, Profile
 from petalfit.surfaces import with_value
@@ -72,7 +73,7 @@ def profile_of(
                 placed=result.values if result.in_image else {},
                 ends_only=True,
             )
-            with reporting_to(None):
+            with one_thread(), reporting_to(None):
                 _, ends = run(family_of(model), request)
             model, found[k] = bare(ends[0].model), min(found[k], _cost(ends[0]))
     cost = found - np.min(found)
