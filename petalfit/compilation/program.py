@@ -72,6 +72,7 @@ class RowProgram:
         leaves, structure = jax.tree.flatten((np.float64(0), *others, *filled[0]))
         program = current_store().program(self._function, structure, leaves)
         same = leaves[1 : -self._count]
+        # The numbers of blocks are doubles, because these travel in one array with the other scalars.
         counts = [np.float64(-(-(part.stop - part.start) // _block())) for part in parts]
         calls = [[count, *same, *own] for count, own in zip(counts, filled, strict=True)]
         found = _side_by_side(program, calls)

@@ -25,7 +25,7 @@ from petalfit.surfaces import AbstractSurface
 # multiplied by this factor, so that the first step is close to Gauss-Newton's.
 _GAIN = 15.0
 _FREE_ROUNDS = 8  # rounds with full steps
-_STEPS, _TRIALS = 3, 5  # steps that are taken in a round, and trials
+_STEPS = 5  # in a round
 # A smaller change of all variables and residuals, relative to 1 and to their size, ends a round.
 _ENOUGH = 1e-2
 # A step is taken if it lowers the cost by this share of what was expected, and damping changes after a
@@ -168,8 +168,8 @@ def solve(
 
 def _least(held: _Round) -> Float[np.ndarray, " p"]:
     """The variables after a few Levenberg-Marquardt steps from zero."""
-    here, jacobian, damping, taken = held.at(np.zeros(len(held.origin))), None, 1.0, 0
-    for _ in range(_TRIALS):
+    here, jacobian, damping = held.at(np.zeros(len(held.origin))), None, 1.0
+    for _ in range(_STEPS):
         jacobian = held.jacobian(here) if jacobian is None else jacobian
         normal = jacobian.T @ jacobian + damping * np.eye(len(here.z))
         try:
@@ -184,9 +184,8 @@ def _least(held: _Round) -> Float[np.ndarray, " p"]:
             damping *= _MORE
             continue
         moved = trial.residuals - here.residuals
-        here, jacobian, taken = trial, None, taken + 1
-        small = _is_small(step, trial.z) and _is_small(moved, trial.residuals)
-        if small or taken == _STEPS:
+        here, jacobian = trial, None
+        if _is_small(step, trial.z) and _is_small(moved, trial.residuals):
             break
         if change < _AS_EXPECTED * expected < 0:
             damping *= _LESS
