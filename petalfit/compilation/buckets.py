@@ -14,18 +14,14 @@ def bucket(n: int) -> int:
     return power * 3 // 4 if n <= power * 3 // 4 and power > 64 else power
 
 
-def pad_to(rows: np.ndarray, size: int) -> np.ndarray:
-    """The rows, padded to `size` with copies of the first row."""
-    return np.concatenate([rows, np.repeat(rows[:1], size - len(rows), axis=0)])
+def pad_to(rows: np.ndarray, size: int, padding: float | None = None) -> np.ndarray:
+    """The rows, filled up to `size` with `padding`, or the first row, or zeros if there is none."""
+    empty = np.zeros((1, *rows.shape[1:]), rows.dtype)
+    fill = (rows[:1] if len(rows) else empty) if padding is None else empty + padding
+    return np.concatenate([rows, np.repeat(fill, size - len(rows), axis=0)])
 
 
 def blocks(rows: np.ndarray, padding: float | None = None) -> list[np.ndarray]:
-    """The rows in blocks of one size; the last one is filled up with `padding`, or the first row.
-
-    No rows make one block of zeros.
-    """
+    """The rows in blocks of one size, at least one; the last one is filled up as by `pad_to`."""
     number = max(-(-len(rows) // BLOCK), 1)
-    empty = np.zeros((1, *rows.shape[1:]), rows.dtype)
-    fill = (rows[:1] if len(rows) else empty) if padding is None else empty + padding
-    filled = [rows, np.repeat(fill, number * BLOCK - len(rows), axis=0)]
-    return np.split(np.concatenate(filled), number)
+    return np.split(pad_to(rows, number * BLOCK, padding), number)

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from petalfit.compilation.buckets import ROWS
+from petalfit.compilation.buckets import ROWS, pad_to
 from petalfit.compilation.stopwatch import stage, unwatched
 from petalfit.compilation.store import current_store, is_double
 
@@ -68,7 +68,7 @@ class RowProgram:
         """The rows of the result."""
         others, rows = args[: -self._count], [np.asarray(x) for x in args[-self._count :]]
         parts = _parts(len(rows[0]))
-        filled = [[_filled(x[part]) for x in rows] for part in parts]
+        filled = [[pad_to(x[part], ROWS) for x in rows] for part in parts]
         leaves, structure = jax.tree.flatten((np.float64(0), *others, *filled[0]))
         program = current_store().program(self._function, structure, leaves)
         same = leaves[1 : -self._count]
@@ -114,14 +114,6 @@ def _parts(size: int) -> list[slice]:
     number = max(-(-size // ROWS), 1)
     length = max(-(-size // (number * _block())), 1) * _block()
     return [slice(k, min(k + length, size)) for k in range(0, max(size, 1), length)]
-
-
-def _filled(rows: np.ndarray) -> np.ndarray:
-    """The rows in an array of `ROWS` rows. A block that is not full has copies of the first one."""
-    found = np.zeros((ROWS, *rows.shape[1:]), rows.dtype)
-    found[: len(rows)] = rows
-    found[len(rows) : len(rows) + _block()] = rows[:1] if len(rows) else 0
-    return found
 
 
 def _side_by_side(program: Callable, calls: Sequence[list]) -> list:

@@ -60,22 +60,22 @@ def profile_of(
     # The values are taken outwards from the fitted one, and back. Each fit so starts at the ends of both
     # neighbours, and the better one counts.
     middle = int(np.argmin(np.abs(values - result.values[name])))
-    for side in (range(middle, points), range(middle - 1, -1, -1)):
-        model = start
-        for k in (*side, *side[-2::-1]):
-            tell(f"profile of {name}: {values[k]:.4g}")
-            model = with_value(model, name, float(values[k]))
-            request = Request(
-                template=model,
-                free=rest,
-                targets=tuple(part.target.counting(part.weights) for part in result.agreements),
-                from_template=True,
-                placed=result.values if result.in_image else {},
-                ends_only=True,
-            )
-            with one_thread(), reporting_to(None):
+    with one_thread(), reporting_to(None):
+        for side in (range(middle, points), range(middle - 1, -1, -1)):
+            model = start
+            for k in (*side, *side[-2::-1]):
+                tell(f"profile of {name}: {values[k]:.4g}")
+                model = with_value(model, name, float(values[k]))
+                request = Request(
+                    template=model,
+                    free=rest,
+                    targets=tuple(part.target.counting(part.weights) for part in result.agreements),
+                    from_template=True,
+                    placed=result.values if result.in_image else {},
+                    ends_only=True,
+                )
                 _, ends = run(family_of(model), request)
-            model, found[k] = bare(ends[0].model), min(found[k], _cost(ends[0]))
+                model, found[k] = bare(ends[0].model), min(found[k], _cost(ends[0]))
     cost = found - np.min(found)
     values, cost = _adjusted(result, name, values, cost)
     return Profile(tuple(values.tolist()), tuple(cost.tolist()))

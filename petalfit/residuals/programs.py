@@ -14,15 +14,16 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 from scipy.spatial.transform import Rotation
 
 from petalfit.compilation import RowProgram
 from petalfit.components import Posed
 from petalfit.residuals.contact import Frame, Numbers, frame, pull_back
 from petalfit.residuals.foot_point import newton
-from petalfit.surfaces import AbstractMap, AbstractSurface, in_doubles, value_at
+from petalfit.surfaces import AbstractMap, AbstractSurface, in_doubles, leaves_of
 
+_OF_FRAME = (3,), (3,), (2, 3), (2,), (2,), ()  # shapes of its fields for one place
 _NODES = 17  # per side of the domain
 _AT_ONCE = 4096  # points
 _SMALL = 1e-8  # rad, below which the derivatives of a turn are those at none
@@ -39,9 +40,7 @@ def places(surface: AbstractMap, uv: Float[Numbers, "n 2"]) -> Float[np.ndarray,
 def frames(surface: AbstractSurface, uv: Float[Numbers, "n 2"]) -> Frame:
     """The frames of a surface at foot points."""
     if not isinstance(surface, Posed):
-        return Frame(
-            *_split(_frames(in_doubles(surface), uv), ((3,), (3,), (2, 3), (2,), (2,), ()))
-        )
+        return Frame(*_split(_frames(in_doubles(surface), uv), _OF_FRAME))
     here, (turn, shift, scale) = frames(surface.surface, uv), surface.similarity_in_numpy
     return Frame(
         here.position @ (scale * turn.T) + shift,
@@ -133,12 +132,11 @@ def _pulled_by(
     return np.stack([found[name] for name in names], axis=-1)
 
 
-def _columns(surface: AbstractSurface, names: Sequence[str]) -> list[int]:
+def _columns(surface: AbstractSurface, names: Sequence[str]) -> Int[np.ndarray, " p"]:
     """The columns of `_pull_back` that belong to parameters."""
     leaves, structure = jax.tree.flatten(surface)
-    first = np.cumsum([0, *map(np.size, leaves)])[:-1]
-    tree = jax.tree.unflatten(structure, first.tolist())
-    return [value_at(tree, name) for name in names]
+    first = np.cumsum([0, *map(np.size, leaves)])
+    return first[list(leaves_of(structure, tuple(names)))]
 
 
 def _into(posed: Posed, points: Float[Numbers, "n 3"]) -> Float[np.ndarray, "n 3"]:

@@ -17,6 +17,7 @@ from petalfit.surfaces.parameter import Parameter as Parameter
 from petalfit.surfaces.parameter import angle as angle
 from petalfit.surfaces.parameter import batch_of as batch_of
 from petalfit.surfaces.parameter import in_doubles as in_doubles
+from petalfit.surfaces.parameter import leaves_of as leaves_of
 from petalfit.surfaces.parameter import length as length
 from petalfit.surfaces.parameter import number as number
 from petalfit.surfaces.parameter import parameter as parameter

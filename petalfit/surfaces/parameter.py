@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from functools import lru_cache
 from operator import attrgetter
 from typing import Any, TypeVar
 
@@ -115,6 +116,13 @@ def value_at(model: eqx.Module, name: str) -> Any:
 def with_value(model: Tree, name: str, value: Any) -> Tree:
     """A copy of the model with another value of one parameter."""
     return eqx.tree_at(attrgetter(name), model, value)
+
+
+@lru_cache
+def leaves_of(structure: Any, names: tuple[str, ...]) -> tuple[int, ...]:
+    """The indices of parameters among the leaves of a model, whose structure is a `PyTreeDef`."""
+    numbered = jax.tree.unflatten(structure, range(structure.num_leaves))
+    return tuple(value_at(numbered, name) for name in names)
 
 
 def in_doubles(model: Tree) -> Tree:

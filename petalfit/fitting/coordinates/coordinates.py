@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
-from functools import lru_cache
-from typing import Any, Generic, TypeAlias, TypeVar
+from typing import Generic, TypeAlias, TypeVar
 
 import equinox as eqx
 import jax
@@ -14,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from petalfit.components import parameters
-from petalfit.surfaces import Scalar, in_doubles, value_at
+from petalfit.surfaces import Scalar, in_doubles, leaves_of, value_at
 
 Model = TypeVar("Model", bound=eqx.Module)
 # NumPy arrays outside of compiled programs, where JAX would compile every little operation.
@@ -106,16 +105,9 @@ def replaced(
 ) -> Model:
     """The model with new values for some of its parameters."""
     leaves, structure = jax.tree.flatten(model)
-    for k, place in enumerate(_places(structure, names)):
+    for k, place in enumerate(leaves_of(structure, names)):
         leaves[place] = values[k]
     return jax.tree.unflatten(structure, leaves)
-
-
-@lru_cache
-def _places(structure: Any, names: tuple[str, ...]) -> tuple[int, ...]:
-    """The indices of parameters among the leaves of a model."""
-    numbered = jax.tree.unflatten(structure, range(structure.num_leaves))
-    return tuple(value_at(numbered, name) for name in names)
 
 
 def gathered(tree: eqx.Module, names: tuple[str, ...]) -> Array:
