@@ -46,7 +46,7 @@ def test_the_gradient_is_that_of_differences():
         made = problem(cloud(0))
         here = made.start(pf.BladePetal(**TRUTH))
         z = here.z + 0.02 * np.random.default_rng(1).normal(size=len(here.z))
-        here = made.search(z, here.places)
+        here = made.search(made.stand(z, here.places))
         here = made.stand(z, here.places)
         for k in range(len(z)):
             step = 1e-5 * np.eye(len(z))[k]

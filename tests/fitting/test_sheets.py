@@ -269,6 +269,35 @@ def test_a_spline_has_the_sum_of_its_basis():
         np.testing.assert_allclose(petal(u, v), expected, atol=1e-12)
 
 
+# Blades as wide as long, whose flattened clouds have their axes half way between midrib and sides.
+ROUND = [
+    pf.BladePetal(
+        **{"width": 1.03, "widest": 0.41, "base_width": 0.33, "tip_width": 0.45},
+        **{"base_taper": 0.98, "tip_taper": 0.68, "tip_edge": 0.02, "base_edge": 0.1},
+        **{"skew": -0.17, "bend": -0.25, "bend_shift": 0.16, "tip_roll": 0.48, "sickle": 0.23},
+        **{"twist": -0.21, "cup_base": 0.22, "cup_mid": 0.84, "cup_tip": -0.8},
+        **{"margin_curl": 0.35, "keel": -0.06},
+    ),
+    pf.BladePetal(
+        **{"width": 1.06, "widest": 0.27, "base_width": 0.34, "tip_width": 0.52},
+        **{"base_taper": 0.54, "tip_taper": 1.17, "tip_edge": 0.19, "base_edge": 0.09},
+        **{"skew": -0.27, "bend": -1.19, "bend_shift": 0.29, "tip_roll": 0.39, "sickle": -0.21},
+        **{"twist": 0.28, "cup_base": -0.56, "cup_mid": 0.08, "cup_tip": 0.53},
+        **{"margin_curl": -0.38, "keel": -0.01},
+    ),
+]
+
+
+@pytest.mark.parametrize("blade", ROUND)
+def test_a_round_blade_is_found_whichever_way_its_axes_lie(blade):
+    points = blade.sample(1500, seed=6, noise=0.02).points
+    points = points @ random_rotation(np.random.default_rng(6)).T
+    result = pf.fit_petal(points, model=pf.BladePetal, pose="similarity")
+    assert result.rms < 0.022
+    assert result.values["width"] == pytest.approx(blade.width, rel=0.02)
+    assert abs(result.values["skew"]) == pytest.approx(abs(blade.skew), abs=0.05)
+
+
 def test_a_spline_follows_a_sheet_wherever_it_is(tmp_path):
     rng = np.random.default_rng(4)
     cloud = TRUTH.sample(2000, seed=5, noise=0.01)

@@ -36,10 +36,11 @@ _SOME = 1536
 _ROUGHLY = BLOCK
 _FOLLOWED = 2
 _ROUGH, _NEAR = 40, 1.0  # rough steps at most, and standard errors to their end
+_FIRST, _LIKELY = 12, 4  # rough steps of all starts, and the number of starts that take more
 _ROUNDS = 100  # evaluations of the likelihood at most
 # A start whose cost after rough steps is worse than the best by more than this, and by more than it may
 # still gain, is not followed.
-_HOPELESS = 3.0
+_HOPELESS = 8.0
 _CLEARINGS, _AGAIN = 3, 6  # searches for outliers, and steps before each of them
 _SIFTED = 8192  # points that outliers are searched for among
 _UNCHANGED = 0.002  # a smaller mean change of the probabilities is none
@@ -166,12 +167,8 @@ class OpenSurfaceFamily(AbstractFamily):
             starts = [(start.label, start.posed(request.pose)) for start in found]
         foreseen()
         used = {"starts": min(_SOME, len(sheets)), "rough steps": len(few.points)}
-        near: list[Settled] = []
-        for label, model in starts:
-            report(f"rough steps from {label}")
-            with stage("polishing"):
-                near.append(settle(begun(problem(model), model, label), _ROUGH, _NEAR))
-        near = _promising(near)
+        with stage("polishing"):
+            near = _roughly([begun(problem(model), model, label) for label, model in starts])
         heat = _temperature(near[0], names)
         large = len(scan.points) > ENOUGH and not scan.every_point
         if len(scan.points) > 2 * _SOME:
@@ -239,6 +236,22 @@ def _temperature(near: Settled, names: tuple[str, ...]) -> float:
         return 0.0
     total = float(np.sum(sheet.weights))
     return temperature(rows, found[1], total) / total
+
+
+def _roughly(starts: list[Settled]) -> list[Settled]:
+    """The ends of rough steps from the starts that may become the best, the best first."""
+    if len(starts) > _LIKELY:
+        starts = _promising(_stepped(starts, _FIRST))[:_LIKELY]
+    return _promising(_stepped(starts, _ROUGH))
+
+
+def _stepped(starts: list[Settled], steps: int) -> list[Settled]:
+    """The ends of rough steps from some starts."""
+    ends = []
+    for start in starts:
+        report(f"rough steps from {start.label}")
+        ends.append(settle(start, steps, _NEAR))
+    return ends
 
 
 def _promising(near: list[Settled]) -> list[Settled]:

@@ -52,6 +52,7 @@ class Stand:
         cost: The cost with the prior, at the problem's temperature.
         gradient: Its derivative.
         information: Its information.
+        each: The cost −log L of every point, without what is common to all.
     """
 
     z: Float[np.ndarray, " q"]
@@ -60,6 +61,7 @@ class Stand:
     cost: float
     gradient: Float[np.ndarray, " q"]
     information: Float[np.ndarray, "q q"]
+    each: Float[np.ndarray, " n"]
 
     @property
     def is_finite(self) -> bool:
@@ -131,14 +133,13 @@ class Settling:
         uv = self.sheet.nearest(self.box.model(z[:-NUISANCES]))
         return self._evaluated(z, uv, SEARCH)
 
-    def search(self, z: Float[np.ndarray, " q"], places: Float[np.ndarray, "n 2"]) -> Stand:
-        """The cost at z, after a search for places that are likelier than the known ones."""
-        found = self._anywhere(z)
-        known = self._evaluated(z, places, STEPS)
-        likelier = found.each < known.each
+    def search(self, here: Stand) -> Stand:
+        """The same z, after a search for places that are likelier than the known ones."""
+        found = self._anywhere(here.z)
+        likelier = found.each < here.each
         if not np.any(likelier & (self.sheet.padded_weights > 0)):
-            return self._stand(z, known)
-        return self.stand(z, np.where(likelier[:, None], found.places, known.places))
+            return here
+        return self.stand(here.z, np.where(likelier[:, None], found.places, here.places))
 
     def stand(self, z: Float[np.ndarray, " q"], places: Float[np.ndarray, "n 2"]) -> Stand:
         """The cost at z, with places near the given ones."""
@@ -161,6 +162,7 @@ class Settling:
             float(here.cost) / self.temperature + 0.5 * float(away @ away),
             np.asarray(here.gradient) / self.temperature + root * away,
             np.asarray(here.information) / self.temperature + np.diag(root**2),
+            np.asarray(here.each),
         )
 
     def step(self, here: Stand, damping: float) -> Float[np.ndarray, " q"]:
@@ -281,7 +283,7 @@ def settle(
             if missing > max(_HOPELESS, _LAGGING * (before - here.cost)):
                 break
             before = here.cost
-            here, since = problem.search(here.z, here.places), 0
+            here, since = problem.search(here), 0
             moved = problem.left(here)
             continue
         step = problem.step(here, damping)

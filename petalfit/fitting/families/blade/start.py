@@ -36,13 +36,23 @@ BENDS = (
 _BENT = 512  # number of points that the bending is fitted to
 _STRIPS = 16
 _OUTSIDE = 0.02  # quantile of a strip's points at which its margins are taken
-_TURNED = (
-    "the same way round",
-    "turned by a quarter",
-    "base and tip exchanged",
-    "turned by three quarters",
-)
+# Directions in which the tip may lie: of a long blade one end of the flattened cloud or one of its sides,
+# of one as wide as long, whose axes are chance, also half way between them.
+_LONG, _ROUNDED = 4, 8
+_TURNED = {
+    0: "the same way round",
+    1: "turned by an eighth",
+    2: "turned by a quarter",
+    3: "turned by three eighths",
+    4: "base and tip exchanged",
+    5: "turned by five eighths",
+    6: "turned by three quarters",
+    7: "turned by seven eighths",
+}
 _ROUND = 1.35
+# Weight of usual outlines against widths of strips, as parts of the greatest: widths of an end and tapers
+# can replace one another.
+_USUALLY = 0.2
 _HELD_BACK = 0.3  # weight of the prior (typical ranges) against distances in tenths of the length
 
 
@@ -52,27 +62,27 @@ class BladeStart(CloudStart):
 
     Attributes:
         misfit: Root mean square distance of points to their places on the blade, in blade lengths.
-        quarter: The number of quarter turns of the flattened cloud that bring its tip up.
+        eighth: The number of eighth turns of the flattened cloud that bring its tip up.
         side: The side of the cloud from which the blade is seen, 1 or −1.
         is_round: Whether the flattened cloud is nearly as wide as long, so that its extent does not show
             which way the blade lies.
     """
 
     misfit: float
-    quarter: int
+    eighth: int
     side: float
     is_round: bool
 
     def beside(self, other: BladeStart) -> str:
         """Its orientation relative to another start of the same cloud, in words."""
-        turned = _TURNED[(self.quarter - other.quarter) % 4]
+        turned = _TURNED[(self.eighth - other.eighth) % 8]
         return turned if self.side == other.side else f"{turned}, from the other side"
 
 
 def blade_starts(
     template: BladePetal, free: tuple[str, ...], points: Float[np.ndarray, "n 3"], posed: bool
 ) -> list[BladeStart]:
-    """Starts for the four directions in which the tip may lie, and for both sides, the best first.
+    """Starts for the directions in which the tip may lie, and for both sides, the best first.
 
     Args:
         template: A blade with the values of the parameters that are not free.
@@ -82,9 +92,10 @@ def blade_starts(
     """
     plane = onto_mirror_line(flatten(points))
     narrow, wide = np.sort(plane.std(axis=0)).tolist()
+    is_round = wide < _ROUND * narrow
     found = []
-    for quarter in range(4):
-        turn = quarter * np.pi / 2
+    for eighth in range(0, 8, 8 // (_ROUNDED if is_round else _LONG)):
+        turn = eighth * np.pi / 4
         s = plane @ [np.cos(turn), np.sin(turn)]
         q = plane @ [np.sin(turn), -np.cos(turn)]
         reach = float(np.ptp(s))
@@ -93,9 +104,7 @@ def blade_starts(
         for side in (1.0,) if posed else (1.0, -1.0):
             start = _start(template, free, points, side * q, s, reach, posed)
             label = f"start {len(found) + 1}"
-            found.append(
-                BladeStart(*start[:4], label, start[4], quarter, side, wide < _ROUND * narrow)
-            )
+            found.append(BladeStart(*start[:4], label, start[4], eighth, side, is_round))
     return sorted(found, key=lambda start: start.misfit)
 
 
@@ -212,7 +221,7 @@ def _outline(q: Float[np.ndarray, " n"], s: Float[np.ndarray, " n"]) -> Float[np
     def excess(p: np.ndarray) -> np.ndarray:
         greatest, widest, base, tip, base_taper, tip_taper = p
         shape = profile(v, widest, (base, tip), (base_taper, tip_taper), np)
-        usual = 0.02 * (p[1:] - [0.5, 0.2, 0.2, 0.8, 0.8])
+        usual = _USUALLY * (p[1:] - [0.5, 0.2, 0.2, 0.8, 0.8])
         return np.concatenate([greatest * shape / w.max() - w / w.max(), usual])
 
     start = [w.max(), np.clip(v[np.argmax(w)], 0.15, 0.85), 0.2, 0.2, 0.8, 0.8]
