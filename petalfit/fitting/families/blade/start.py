@@ -36,19 +36,16 @@ BENDS = (
 _BENT = 512  # number of points that the bending is fitted to
 _STRIPS = 16
 _OUTSIDE = 0.02  # quantile of a strip's points at which its margins are taken
-# Directions in which the tip may lie: of a long blade one end of the flattened cloud or one of its sides,
-# of one as wide as long, whose axes are chance, also half way between them.
-_LONG, _ROUNDED = 4, 8
-_TURNED = {
-    0: "the same way round",
-    1: "turned by an eighth",
-    2: "turned by a quarter",
-    3: "turned by three eighths",
-    4: "base and tip exchanged",
-    5: "turned by five eighths",
-    6: "turned by three quarters",
-    7: "turned by seven eighths",
-}
+_TURNED = (
+    "the same way round",
+    "turned by an eighth",
+    "turned by a quarter",
+    "turned by three eighths",
+    "base and tip exchanged",
+    "turned by five eighths",
+    "turned by three quarters",
+    "turned by seven eighths",
+)
 _ROUND = 1.35
 # Weight of usual outlines against widths of strips, as parts of the greatest: widths of an end and tapers
 # can replace one another.
@@ -94,7 +91,8 @@ def blade_starts(
     narrow, wide = np.sort(plane.std(axis=0)).tolist()
     is_round = wide < _ROUND * narrow
     found = []
-    for eighth in range(0, 8, 8 // (_ROUNDED if is_round else _LONG)):
+    # The axes of a round cloud are chance: the tip may also lie half way between two of them.
+    for eighth in range(0, 8, 1 if is_round else 2):
         turn = eighth * np.pi / 4
         s = plane @ [np.cos(turn), np.sin(turn)]
         q = plane @ [np.sin(turn), -np.cos(turn)]
