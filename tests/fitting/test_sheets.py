@@ -269,7 +269,7 @@ def test_a_spline_has_the_sum_of_its_basis():
         np.testing.assert_allclose(petal(u, v), expected, atol=1e-12)
 
 
-# Blades as wide as long, whose flattened clouds have their axes half way between midrib and sides.
+# Blades as wide as long: the axes of their flattened clouds need not be those of midrib and sides.
 ROUND = [
     pf.BladePetal(
         **{"width": 1.03, "widest": 0.41, "base_width": 0.33, "tip_width": 0.45},

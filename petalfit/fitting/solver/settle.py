@@ -11,13 +11,7 @@ from petalfit.components import Posed, parameters
 from petalfit.fitting.coordinates import Box, Prior
 from petalfit.fitting.likelihood.foot_points import signed_distance
 from petalfit.fitting.likelihood.observed import Residuals
-from petalfit.fitting.likelihood.sheet import (
-    NUISANCES,
-    SEARCH,
-    STEPS,
-    Sheet,
-    SheetCost,
-)
+from petalfit.fitting.likelihood.sheet import NUISANCES, SEARCH, STEPS, Sheet
 from petalfit.fitting.solver.iterate import Iterate
 from petalfit.fitting.solver.observer import is_looked_on, show
 from petalfit.residuals import Data, TangentDistance
@@ -123,19 +117,15 @@ class Settling:
         uv = self.sheet.nearest(model)
         z = np.concatenate([own, [np.log(self.sheet.spread(model, uv)), _BLURS[1]]])
         z = np.clip(z, self.low, self.high)
-        return self._stand(z, self._evaluated(z, uv, SEARCH))
+        return self._stand(z, uv, SEARCH)
 
     def stand_anywhere(self, z: Float[np.ndarray, " q"]) -> Stand:
         """The cost at z, with places on the whole surface."""
-        return self._stand(z, self._anywhere(z))
-
-    def _anywhere(self, z: Float[np.ndarray, " q"]) -> SheetCost:
-        uv = self.sheet.nearest(self.box.model(z[:-NUISANCES]))
-        return self._evaluated(z, uv, SEARCH)
+        return self._stand(z, self.sheet.nearest(self.box.model(z[:-NUISANCES])), SEARCH)
 
     def search(self, here: Stand) -> Stand:
         """The same z, after a search for places that are likelier than the known ones."""
-        found = self._anywhere(here.z)
+        found = self.stand_anywhere(here.z)
         likelier = found.each < here.each
         if not np.any(likelier & (self.sheet.padded_weights > 0)):
             return here
@@ -143,26 +133,24 @@ class Settling:
 
     def stand(self, z: Float[np.ndarray, " q"], places: Float[np.ndarray, "n 2"]) -> Stand:
         """The cost at z, with places near the given ones."""
-        return self._stand(z, self._evaluated(z, places, STEPS))
+        return self._stand(z, places, STEPS)
 
-    def _evaluated(
+    def _stand(
         self, z: Float[np.ndarray, " q"], places: Float[np.ndarray, "n 2"], steps: int
-    ) -> SheetCost:
-        return self.sheet.cost(self.box, z, places, steps)
-
-    def _stand(self, z: Float[np.ndarray, " q"], here: SheetCost) -> Stand:
-        """The cost at z with the prior."""
+    ) -> Stand:
+        """The cost at z with the prior, after some Newton steps of the places."""
+        found = self.sheet.cost(self.box, z, places, steps)
         nothing = np.zeros(NUISANCES)
         root = np.append(self.prior.root, nothing)
         away = root * (z - np.append(self.prior.centre, nothing))
         return Stand(
             z,
-            np.asarray(here.places),
-            np.asarray(here.following),
-            float(here.cost) / self.temperature + 0.5 * float(away @ away),
-            np.asarray(here.gradient) / self.temperature + root * away,
-            np.asarray(here.information) / self.temperature + np.diag(root**2),
-            np.asarray(here.each),
+            np.asarray(found.places),
+            np.asarray(found.following),
+            float(found.cost) / self.temperature + 0.5 * float(away @ away),
+            np.asarray(found.gradient) / self.temperature + root * away,
+            np.asarray(found.information) / self.temperature + np.diag(root**2),
+            np.asarray(found.each),
         )
 
     def step(self, here: Stand, damping: float) -> Float[np.ndarray, " q"]:
