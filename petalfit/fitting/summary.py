@@ -23,9 +23,10 @@ from petalfit.fitting.inference.discrepancy import discrepancy_of
 from petalfit.fitting.inference.identifiability import (
     combinations,
     covariance,
+    few_points,
     known,
+    less_informed,
     posterior_of,
-    with_few_points,
 )
 from petalfit.fitting.inference.linear_rows import may_have_misfit, rows_of
 from petalfit.fitting.request.request import Request
@@ -57,8 +58,9 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
     names = request.free if family.named_errors else ()
     declared = _declared(best.model if family.named_errors else bare(template), names)
     agreements = _agreements(request.targets, best)
-    if request.is_one_cloud and names and best.is_finite and request.noise is None:
-        best = with_few_points(best, len(names))
+    doubt = _doubt(request, best, names)
+    best = less_informed(best, doubt)
+    ends = [best, *ends[1:]]
     finite = bool(
         all(np.isfinite(float(value_at(best.model, name))) for name in declared)
         and best.is_finite
@@ -77,11 +79,11 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
         seen = discrepancy_of(rows) if suspect and rows is not None else None
         at_end = best
         if seen is not None:
-            discrepancy, added = seen
+            discrepancy, added = seen[0], seen[1] / doubt
         if rows is not None and (seen is not None or turned):
             # The rows belong to the pose in the target's frame, so that the information must too.
             told = 1.0 if best.mixture is None else best.mixture.certainty
-            there = told * rows.information
+            there = told * rows.information / doubt
             at_end = dataclasses.replace(best, information=there, score_covariance=there)
         matrix = covariance(at_end, names, declared, found, added)
         by_noise = covariance(at_end, names, declared, found)
@@ -103,7 +105,9 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
     # Where a fit was stopped says nothing about the outline that it may have.
     if seen is not None and request.is_one_cloud and best.moved <= verdict.SETTLED:
         pattern = verdict.systematic_rms(agreements[0], bare(best.model))
-        misfits.append(verdict.misfit_of_outline(agreements[0], seen, pattern))
+        misfits.append(
+            verdict.misfit_of_outline(agreements[0], seen, pattern, not family.named_errors)
+        )
     if any(misfits):
         # The errors belong to a petal that is not there.
         found, posterior, discrepancy = np.zeros(len(names), bool), None, None
@@ -193,6 +197,17 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
         discrepancy=discrepancy,
         in_image=in_image,
     )
+
+
+def _doubt(request: Request, best: Iterate, names: Sequence[str]) -> float:
+    """The factor by which variances are larger than the information says."""
+    doubt = 1.0
+    if request.is_one_cloud and names and best.is_finite and request.noise is None:
+        doubt = few_points(best, len(names))
+    if best.moved > verdict.SETTLED:
+        # The end may be as far away as the parameters still move.
+        doubt *= 1 + best.moved**2
+    return doubt
 
 
 def _condensed(best: Iterate) -> list[str]:

@@ -1,5 +1,8 @@
 """What a surface has no points near: hidden parts are legitimate, another outline is a misfit."""
 
+import dataclasses
+import importlib
+
 import jax
 import numpy as np
 import pytest
@@ -7,7 +10,11 @@ import pytest
 import petalfit as pf
 from petalfit.fitting.inference.coverage import Coverage, Rim
 from petalfit.fitting.outliers.local_planes import on_sheets
+from petalfit.fitting.run import run
 from tests.fitting.conftest import noisy_cloud
+
+# The module, which the function of the same name hides in its package.
+fit = importlib.import_module("petalfit.fitting.fit")
 
 
 def covered(model, points):
@@ -23,20 +30,30 @@ def points():
 
 
 def test_all_of_it(points):
-    assert covered(pf.Rectangle(a_x=10.0, b_y=20.0), points) == (0.0, 0.0, 0.0, 0.0)
+    whole = covered(pf.Rectangle(a_x=10.0, b_y=20.0), points)
+    assert whole._replace(loose=0.0) == (0.0,) * 7
+    assert whole.loose < 0.1
 
 
 def test_one_part_is_hidden(points):
     half = covered(pf.Rectangle(a_x=10.0, b_y=20.0), points[points[:, 1] < 10])
     assert half.area == pytest.approx(0.45, abs=0.03)
     assert half.outline == pytest.approx(0.45, abs=0.04)
-    assert half.scattered == 0.0
+    assert half.scattered == half.hole == 0.0
+
+
+def test_two_parts_are_hidden(points):
+    middle = points[np.abs(points[:, 1] - 10) < 7]
+    found = covered(pf.Rectangle(a_x=10.0, b_y=20.0), middle)
+    assert found.outline == pytest.approx(2 * 14 / 60, abs=0.07)
+    assert found.scattered == 0.0
 
 
 def test_a_hole_is_not_in_the_outline(points):
     around = np.linalg.norm(points - [0, 10, 0], axis=1) > 3
     hole = covered(pf.Rectangle(a_x=10.0, b_y=20.0), points[around])
     assert 0.04 < hole.area < 0.14
+    assert hole.hole == hole.area
     assert hole.outline == 0.0
 
 
@@ -44,7 +61,8 @@ def test_the_corners_are_missing(points):
     inside = (points[:, 0] / 5) ** 2 + ((points[:, 1] - 10) / 10) ** 2 < 1
     ellipse = covered(pf.Rectangle(a_x=10.0, b_y=20.0), points[inside])
     assert ellipse.outline > 0.3
-    assert ellipse.scattered > 0.2
+    assert ellipse.scattered > 0.1
+    assert ellipse.loose > 0.4
 
 
 def test_points_too_few_to_tell(points):
@@ -55,13 +73,23 @@ def test_points_too_few_to_tell(points):
 def test_a_closed_surface_has_no_outline():
     tube = pf.Cylinder(r=3.0, h=20.0)
     points = np.asarray(tube.sample(2000, seed=2).points)
-    assert covered(tube, points[points[:, 0] < 0])[1:] == (0.0, 0.0, 0.0)
+    assert covered(tube, points[points[:, 0] < 0])[1:] == (0.0,) * 6
 
 
 def test_points_go_on_beyond_the_outline(points):
     narrow = covered(pf.Rectangle(a_x=5.0, b_y=20.0), points)
     assert narrow.crossed == pytest.approx(40 / 50, abs=0.05)
     assert narrow.outline == 0.0
+
+
+def test_a_surface_that_turns_back_on_itself_is_folded():
+    flat = pf.SplinePetal(a_x=10.0, b_y=20.0)
+    points = np.asarray(flat.sample(500, seed=3).points)
+    assert covered(flat, points).folded == 0.0
+    offsets = np.zeros(np.shape(flat.offsets))
+    offsets[: len(offsets) // 2, :, 0] = np.linspace(0.8, 0.0, len(offsets) // 2)[:, None] * 30.0
+    folded = pf.SplinePetal(a_x=10.0, b_y=20.0, offsets=offsets)
+    assert covered(folded, points).folded > 0.005
 
 
 def test_stretches_go_around():
@@ -75,17 +103,94 @@ def test_stretches_go_around():
     assert rim.stretches(np.zeros(100, bool)) == []
 
 
-def test_a_star_is_no_petal_and_tells_nothing_of_one():
+def flat_points(shape):
+    """1,500 noisy points of a flat shape that is 20 wide, given by polar coordinates of its places."""
     rng = np.random.default_rng(1)
-    flat = rng.uniform(-1, 1, (6000, 2))
-    radius, angle = np.hypot(*flat.T), np.arctan2(flat[:, 1], flat[:, 0])
-    flat = flat[radius < 0.65 + 0.35 * np.cos(5 * angle)][:1500]
+    flat = rng.uniform(-1, 1, (12000, 2))
+    flat = flat[shape(np.hypot(*flat.T), np.arctan2(flat[:, 1], flat[:, 0]))][:1500]
     points = 10 * np.column_stack([flat[:, 0], flat[:, 1] + 1, 0 * flat[:, 0]])
-    result = pf.fit_petal(points + rng.normal(scale=0.05, size=points.shape), throw=False)
+    return points + rng.normal(scale=0.05, size=points.shape)
+
+
+def star(radius, angle):
+    return radius < 0.65 + 0.35 * np.cos(5 * angle)
+
+
+def plus(radius, angle):
+    return radius * np.minimum(np.abs(np.cos(angle)), np.abs(np.sin(angle))) < 0.3
+
+
+def test_a_star_is_no_petal_and_tells_nothing_of_one():
+    result = pf.fit_petal(flat_points(star), throw=False)
     assert result.status == "misfit"
     assert "of its outline has no points near it" in result.reason
     assert not any(result.identifiable.values())
     assert result.posterior is None
+
+
+@pytest.mark.parametrize("loss", ["linear", "robust"])
+def test_a_plus_is_no_blade(loss):
+    result = pf.fit_petal(
+        flat_points(plus), model=pf.BladePetal, pose="similarity", loss=loss, throw=False
+    )
+    assert result.status == "misfit"
+
+
+@pytest.mark.parametrize("model", [pf.BladePetal, pf.SplinePetal])
+def test_a_ring_is_no_petal(model):
+    ring = flat_points(lambda radius, angle: (radius < 1) & (radius > 0.75))
+    result = pf.fit_petal(ring, model=model, pose="similarity", throw=False)
+    assert result.status == "misfit"
+    assert "hole" in result.reason
+
+
+@pytest.mark.parametrize("shape", [star, plus])
+def test_no_spline_surface_has_the_outline_of(shape):
+    result = pf.fit_petal(flat_points(shape), model=pf.SplinePetal, throw=False)
+    assert result.status == "misfit"
+    assert "beside the points" in result.reason or "fold back" in result.reason
+
+
+def test_a_spline_surface_is_a_disc_and_measures_its_area():
+    disc = flat_points(lambda radius, angle: radius < 1)
+    result = pf.fit_petal(disc, model=pf.SplinePetal)
+    area = result.traits["area"]
+    assert abs(area.value - 100 * np.pi) < 1.96 * area.stderr < 10
+
+
+@pytest.mark.parametrize("loss", ["linear", "robust"])
+@pytest.mark.parametrize("of", ["torus", "tube", "crossed"])
+def test_a_spline_surface_is_one_sheet(of, loss):
+    rng = np.random.default_rng(3)
+    u, v = rng.uniform(-np.pi, np.pi, (2, 1200))
+    across, level, first = 10 + 3 * np.cos(v), 0 * u, rng.random(1200) < 0.5
+    points = {
+        "torus": np.stack([across * np.cos(u), across * np.sin(u), 3 * np.sin(v)]),
+        "tube": np.stack([4 * np.cos(u), 4 * np.sin(u), 3 * v]),
+        "crossed": np.where(
+            first, np.stack([3 * u, level, 3 * v]), np.stack([level, 3 * u, 3 * v])
+        ),
+    }[of].T
+    points = points + rng.normal(scale=0.05, size=points.shape)
+    result = pf.fit_petal(points, model=pf.SplinePetal, loss=loss, throw=False)
+    assert result.status == "misfit"
+
+
+def test_a_fit_that_still_moves_is_less_sure(monkeypatch):
+    points = np.asarray(pf.PeonyPetal().sample(600, seed=1, noise=0.05).points)
+    ended = pf.fit_petal(points)
+
+    def stopped(*args):
+        request, ends = run(*args)
+        return request, [dataclasses.replace(ends[0], moved=7.0), *ends[1:]]
+
+    monkeypatch.setattr(fit, "run", stopped)
+    result = pf.fit_petal(points, throw=False)
+    assert result.status == "round_limit"
+    both = [n for n in result.names if result.identifiable[n]]
+    assert 3 < len(both) < sum(ended.identifiable.values())
+    factors = [result.stderr[n] / ended.stderr[n] for n in both]
+    assert factors == pytest.approx(np.full(len(both), np.sqrt(50)), rel=0.1)
 
 
 def test_what_eleven_points_determine_of_ten_parameters_is_true():

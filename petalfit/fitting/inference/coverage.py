@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.ndimage import label
 from scipy.spatial import KDTree
 
 from petalfit.fitting.likelihood.quadrature import SHAPE, Quadrature
@@ -17,6 +18,9 @@ from petalfit.surfaces import AbstractSurface
 _SPACINGS = 2.5
 # Points go on beyond the outline if one lies so near, in spacings, to a place so far beyond it.
 _BEYOND, _NEAR = 3.0, 1.25
+# The outline is loose where the nearest point is farther than so many spacings. Of an outline that was
+# drawn around points that are spread evenly, this is 3 %.
+_LOOSE = 1.5
 _FEWEST = 50  # points, below which nothing can be said of their spacing
 _MOST = 2000  # points that the nearest one is searched among: the verdict does not depend on their number
 
@@ -27,15 +31,22 @@ class Coverage(NamedTuple):
     Attributes:
         area: The part of its area, from 0 to 1.
         outline: The part of its outline; 0 if it is closed.
-        scattered: The same without the longest stretch, which may have been hidden or cut off.
+        scattered: The same without the two longest stretches, which may have been hidden or cut off.
         crossed: The part of its outline where the points go on beyond it, as at the seam of a sheet that
             is wrapped around a closed body.
+        hole: The part of its area in holes, where no points are although there are some all around; 0 if
+            it is closed.
+        loose: The part of its outline that lies beside the points, as where it spans a bay of theirs.
+        folded: The part of its area at which it turns back on itself between two nodes.
     """
 
     area: float
     outline: float
     scattered: float
     crossed: float
+    hole: float
+    loose: float
+    folded: float
 
     @classmethod
     def of(cls, model: AbstractSurface, points: Float[np.ndarray, "n 3"]) -> Coverage | None:
@@ -50,18 +61,20 @@ class Coverage(NamedTuple):
         if len(points) > _MOST:
             points = points[np.random.default_rng(0).permutation(len(points))[:_MOST]]
         nodes, tree = Quadrature.of(model), KDTree(points)
-        gap = np.asarray(tree.query(nodes.places)[0]).reshape(SHAPE)
-        side = spacing(tree)
+        grid = nodes.places.reshape(*SHAPE, 3)
+        gap, side = np.asarray(tree.query(grid)[0]), spacing(tree)
         bare = gap > _SPACINGS * side
-        area = float(np.sum(nodes.area[bare]) / max(np.sum(nodes.area), 1e-300))
+        shares = nodes.area.reshape(SHAPE) / max(np.sum(nodes.area), 1e-300)
+        area, folded = float(np.sum(shares[bare])), _folded(grid, shares)
         if not all(model.edges):
-            return cls(area, 0.0, 0.0, 0.0)
-        rim = Rim.of(nodes.places.reshape(*SHAPE, 3))
-        stretches = rim.stretches(_around(bare))
+            return cls(area, 0.0, 0.0, 0.0, 0.0, 0.0, folded)
+        hole = float(np.sum(shares[bare & ~reached_from_the_edge(bare)]))
+        rim = Rim.of(grid)
+        *few, second, first = sorted([0.0, 0.0, *rim.stretches(_around(bare))])
         away = np.asarray(tree.query(rim.places + _BEYOND * side * rim.conormals)[0])
         crossed = float(np.sum(rim.shares[away < _NEAR * side]))
-        scattered = sum(stretches) - max(stretches, default=0.0)
-        return cls(area, sum(stretches), scattered, crossed)
+        loose = float(np.sum(rim.shares[_around(gap) > _LOOSE * side]))
+        return cls(area, sum(few) + second + first, sum(few), crossed, hole, loose, folded)
 
 
 class Rim(NamedTuple):
@@ -100,6 +113,26 @@ class Rim(NamedTuple):
         bare, shares = np.roll(bare, first), np.roll(self.shares, first)
         number = np.cumsum(np.diff(bare, prepend=False) & bare)[bare]
         return np.bincount(number, shares[bare])[1:].tolist() if bare.any() else []
+
+
+def reached_from_the_edge(empty: Bool[np.ndarray, "m n"]) -> Bool[np.ndarray, "m n"]:
+    """The empty nodes of a grid that others connect with its edge; the rest of them are in holes."""
+    piece = np.zeros(empty.shape, int)
+    count = int(label(empty, output=piece))  # pyright: ignore[reportArgumentType]
+    edge = np.concatenate([piece[0], piece[-1], piece[:, 0], piece[:, -1]])
+    reached = np.zeros(count + 1, bool)
+    reached[edge] = True
+    return empty & reached[piece]
+
+
+def _folded(grid: Float[np.ndarray, "n_u n_v 3"], shares: Float[np.ndarray, "n_u n_v"]) -> float:
+    """The part of the area between nodes where the normal turns by more than a right angle."""
+    normal = np.cross(np.gradient(grid, axis=0), np.gradient(grid, axis=1))
+    folded = 0.0
+    for one, other in ((np.s_[1:], np.s_[:-1]), (np.s_[:, 1:], np.s_[:, :-1])):
+        turned = np.sum(normal[one] * normal[other], axis=-1) < 0
+        folded += float(np.sum(np.minimum(shares[one], shares[other])[turned]))
+    return folded
 
 
 def _around(grid: np.ndarray) -> np.ndarray:

@@ -33,14 +33,14 @@ def typical_spread(
     return np.array([np.ptp(declared[name].typical) for name in names]) / np.sqrt(12)
 
 
-def with_few_points(end: Iterate, free: int) -> Iterate:
-    """The end of a fit of one cloud, with less information if its noise is estimated from few points.
+def few_points(end: Iterate, free: int) -> float:
+    """The factor by which variances are larger if the noise of one cloud is estimated from few points.
 
     The noise is then as uncertain as Student's distribution says, whose 95 % interval is that much wider
     than Gauss's.
 
     Args:
-        end: The end.
+        end: The end of a fit of one cloud.
         free: The number of free parameters.
     """
     (seen,) = end.residuals
@@ -48,7 +48,11 @@ def with_few_points(end: Iterate, free: int) -> Iterate:
     freedom = max(count - free, 1.0)
     left = float(np.sum(seen.weights * seen.distance**2)) / freedom
     wider = max(left / max(seen.noise, 1e-300) ** 2, 1.0) if count < _MANY * free else 1.0
-    factor = wider * (float(stdtrit(freedom, 0.975)) / quantile(0.95)) ** 2
+    return wider * (float(stdtrit(freedom, 0.975)) / quantile(0.95)) ** 2
+
+
+def less_informed(end: Iterate, factor: float) -> Iterate:
+    """The end with information that is smaller by a factor, so that all variances are larger by it."""
     return dataclasses.replace(
         end,
         information=end.information / factor,

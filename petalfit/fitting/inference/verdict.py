@@ -28,11 +28,15 @@ _STRAINED_MISFIT = 0.005
 _MISFIT_OF_OUTLINES = 0.01  # the same for contours of masks
 # Parts of the outline without points near it, from which the surface has another shape if that is said by
 # other signs too; if it happens in several places; and in any case.
-_BARE, _SCATTERED, _MOSTLY_BARE = 0.15, 0.25, 0.65
+_BARE, _SCATTERED, _MOSTLY_BARE = 0.15, 0.08, 0.65
 _WIDELY_BARE = 0.25  # the same if distances have a pattern, as they have on every real petal
 # Parts of the outline where points go on beyond it, from which it has another shape if many points lie
 # beyond the whole surface too; and in any case.
 _CROSSED, _MOSTLY_CROSSED = 0.1, 0.3
+_HOLE = 0.35  # part of the surface in holes, from which the points are a ring
+# Parts of the outline beside the points, and of a surface that is folded, from which points that a
+# surface can follow anywhere are no sheet with one outline.
+_LOOSE, _FOLDED = 0.12, 0.005
 # The other signs: part of the points that lie beyond this distance, and size of a pattern of distances,
 # both distances relative to the target's size.
 _SOME_BEYOND, _MANY_BEYOND, _BEYOND, _PATTERN = 0.01, 0.025, 0.01, 0.004
@@ -108,7 +112,9 @@ def misfit_of(
     )
 
 
-def misfit_of_outline(part: Agreement, seen: Coverage, systematic: float) -> str:
+def misfit_of_outline(
+    part: Agreement, seen: Coverage, systematic: float, is_free: bool = False
+) -> str:
     """The reason why the surface has another outline than a cloud; "" if it may have the same.
 
     A part of a petal may be hidden or cut off. Then the outline has no points along one stretch, and
@@ -118,10 +124,26 @@ def misfit_of_outline(part: Agreement, seen: Coverage, systematic: float) -> str
         part: The cloud with its distances from the surface.
         seen: The parts of the surface that have no points near them.
         systematic: Root mean square of the systematic part of the distances.
+        is_free: Whether the surface can follow any sheet.
     """
     size = part.target.size
     bare = f"{100 * seen.outline:.0f} % of its outline has no points near it"
     empty = f"no petal of this model fits: {bare}"
+    if seen.hole > _HOLE:
+        return (
+            f"no petal of this model fits: {100 * seen.hole:.0f} % of it are a hole without points; "
+            "they are a ring, or lie around a closed body"
+        )
+    if is_free and seen.folded > _FOLDED:
+        return (
+            "no petal of this model fits: the surface has to fold back on itself to follow the points; "
+            "they are no single sheet"
+        )
+    if is_free and seen.loose > _LOOSE:
+        return (
+            f"no petal of this model fits: {100 * seen.loose:.0f} % of its outline runs beside the "
+            "points; theirs has bays that it cannot follow"
+        )
     if seen.outline > _MOSTLY_BARE:
         return f"{empty}; the points have another shape"
     if seen.scattered > _SCATTERED:

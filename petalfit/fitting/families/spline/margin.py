@@ -12,8 +12,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
-from scipy.ndimage import label
+from jaxtyping import Float
 from scipy.optimize import brentq
 from scipy.stats import norm
 
@@ -84,13 +83,3 @@ def gap(
 
     z = brentq(too_many, -8.0, ratio + 1.0)
     return noise * float(z), holding  # pyright: ignore[reportArgumentType]
-
-
-def reached_from_the_edge(empty: Bool[np.ndarray, "m n"]) -> Bool[np.ndarray, "m n"]:
-    """The empty nodes of a grid that others connect with its edge; the rest of them are in holes."""
-    piece = np.zeros(empty.shape, int)
-    count = int(label(empty, output=piece))  # pyright: ignore[reportArgumentType]
-    edge = np.concatenate([piece[0], piece[-1], piece[:, 0], piece[:, -1]])
-    reached = np.zeros(count + 1, bool)
-    reached[edge] = True
-    return empty & reached[piece]

@@ -11,7 +11,8 @@ from scipy.spatial import KDTree
 
 from petalfit.components import SplinePetal
 from petalfit.fitting.families.spline.equations import COUNT, Equations, rows_at, surface_of
-from petalfit.fitting.families.spline.margin import Margin, gap, reached_from_the_edge
+from petalfit.fitting.families.spline.margin import Margin, gap
+from petalfit.fitting.inference.coverage import reached_from_the_edge
 from petalfit.residuals import frames, places, refine_foot_points
 
 _DRAWS = 64  # a standard deviation of so many is right to a tenth

@@ -18,8 +18,8 @@ from petalfit.fitting.families.spline.equations import (
     rows_at,
     surface_of,
 )
-from petalfit.fitting.families.spline.margin import reached_from_the_edge
 from petalfit.fitting.families.spline.posterior import Posterior, posterior_of
+from petalfit.fitting.inference.coverage import reached_from_the_edge
 from petalfit.fitting.likelihood.cloud import ObservedCloud
 from petalfit.fitting.likelihood.foot_points import (
     distances_beside,
