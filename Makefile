@@ -51,7 +51,7 @@ format: $(READY)  ## ruff's formatting and safe fixes, in place
 	$(BIN)/ruff format
 
 .PHONY: bench
-bench: $(READY)  ## the benchmarks, some forty minutes; `python -m benchmarks --help` has shorter ones
+bench: $(READY)  ## the benchmarks, about an hour; `python -m benchmarks --help` has shorter ones
 	$(BIN)/python -m benchmarks --gate
 
 .PHONY: data

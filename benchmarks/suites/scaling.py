@@ -68,7 +68,7 @@ def _blades(quick: bool, tell: Tell) -> Iterator[Metric | Curve]:
 
 
 def _fits(quick: bool, tell: Tell) -> Iterator[Metric | Curve]:
-    counts = [1, 4, 16, 64] + ([] if quick else [256, 1024])
+    counts = [1, 4, 16, 64] + ([] if quick else [256])
     clouds = [cloud_of(petal_of(7000 + k), _BATCH_POINTS, k) for k in range(_KINDS)]
     pf.fit_petal(clouds[0], throw=False)
     tell("starting the workers")
@@ -98,7 +98,7 @@ def _fits(quick: bool, tell: Tell) -> Iterator[Metric | Curve]:
         "scaling.fits", [*map(float, counts)], times, "fits", "seconds of a batch", log=True,
         group="fits",
     )  # fmt: skip
-    few, many = (16, 64) if quick else (256, 4096)
+    few, many = (16, 64) if quick else (64, 1024)
     peaks = []
     for count in (few, many):
         tell(f"memory of {count} fits")
