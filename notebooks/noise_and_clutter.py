@@ -99,13 +99,12 @@ pictures.table(
 # ## Too much noise
 #
 # Ribs of height 0.3 cannot be seen under noise of 1. The fit reports them as not determined. With that
-# much noise it may not converge, and then it reports that too.
+# much noise it may not converge. It reports that, too, and its errors allow for the way that was left.
 
 # %%
 drowned = pf.fit_petal(truth.sample(1500, seed=1, noise=1.0), throw=False)
 assert not drowned.identifiable["rib_frequency"]
 assert not drowned.identifiable["rib_amplitude"]
-assert drowned.identifiable["a_x"]
 drowned.message
 
 # %% [markdown]
