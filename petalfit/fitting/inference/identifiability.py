@@ -11,6 +11,7 @@ from scipy.special import stdtrit
 
 from petalfit.components import Parameter, Posed, parameters
 from petalfit.fitting.solver.iterate import Iterate
+from petalfit.fitting.solver.settle import ALWAYS
 from petalfit.results import CLEAR_LEAD, FitWarning, Posterior, WarningKind, quantile
 from petalfit.surfaces import AbstractSurface, value_at
 
@@ -18,8 +19,6 @@ from petalfit.surfaces import AbstractSurface, value_at
 # typical range, taken as uniform.
 DETERMINED = 0.3
 _ALONE = DETERMINED / 2  # the same limit, if all other parameters were known
-# What holds determined parameters, in typical ranges: it hardly changes errors below `DETERMINED`.
-_WIDER = 3.0
 _MANY = 10  # points for each parameter, from which on it hardly matters how the noise is estimated
 
 
@@ -120,7 +119,7 @@ def covariance(
 
     Parameters that are not determined have infinite rows and columns. The errors of the others allow for
     them to be anywhere in their typical ranges. Those that are determined only together with others are
-    held by ranges that are `_WIDER` times as wide, as in fits that have a prior.
+    held by the weak prior that fits of sheets have.
 
     Args:
         end: The end.
@@ -131,7 +130,7 @@ def covariance(
     """
     spread = typical_spread(names, declared)
     scales = np.outer(spread, spread)
-    prior = np.diag(np.where(found, _WIDER**-2, 1.0))
+    prior = np.diag(np.where(found, ALWAYS**2, 1.0))
     matrix = _sandwich(end, scales, prior, discrepancy)
     return np.where(np.outer(found, found), matrix * scales, np.inf)
 
