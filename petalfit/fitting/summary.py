@@ -25,7 +25,6 @@ from petalfit.fitting.inference.identifiability import (
     covariance,
     few_points,
     known,
-    less_informed,
     posterior_of,
 )
 from petalfit.fitting.inference.linear_rows import may_have_misfit, rows_of
@@ -59,7 +58,7 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
     declared = _declared(best.model if family.named_errors else bare(template), names)
     agreements = _agreements(request.targets, best)
     doubt = _doubt(request, best, names)
-    best = less_informed(best, doubt)
+    best = best.informed(1 / doubt)
     ends = [best, *ends[1:]]
     finite = bool(
         all(np.isfinite(float(value_at(best.model, name))) for name in declared)

@@ -61,7 +61,8 @@ def test_the_corners_are_missing(points):
     inside = (points[:, 0] / 5) ** 2 + ((points[:, 1] - 10) / 10) ** 2 < 1
     ellipse = covered(pf.Rectangle(a_x=10.0, b_y=20.0), points[inside])
     assert ellipse.outline > 0.3
-    assert ellipse.scattered > 0.1
+    # Four corners alike, two of which might be hidden.
+    assert ellipse.scattered == pytest.approx(0.5 * ellipse.outline, rel=0.2)
     assert ellipse.loose > 0.4
 
 

@@ -159,11 +159,9 @@ def likelier(end: Iterate, scan: Scan) -> Iterate:
     weights, certainty = scan.weights[scan.likely], end.mixture.certainty
     kept = float(np.sum(weights * (end.mixture.members[scan.likely] > 0.5)))
     return dataclasses.replace(
-        end,
+        end.informed(certainty),
         chi2=-2 * end.mixture.log_likelihood,
         left_out=1 - kept / max(float(np.sum(weights)), 1e-300),
-        information=certainty * end.information,
-        score_covariance=certainty * end.score_covariance,
     )
 
 

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import label
 from scipy.spatial import KDTree
 
-from petalfit.fitting.likelihood.quadrature import SHAPE, Quadrature
+from petalfit.fitting.likelihood.quadrature import SHAPE, Quadrature, normals_around
 from petalfit.fitting.likelihood.scales import spacing
 from petalfit.surfaces import AbstractSurface
 
@@ -64,17 +64,18 @@ class Coverage(NamedTuple):
         grid = nodes.places.reshape(*SHAPE, 3)
         gap, side = np.asarray(tree.query(grid)[0]), spacing(tree)
         bare = gap > _SPACINGS * side
-        shares = nodes.area.reshape(SHAPE) / max(np.sum(nodes.area), 1e-300)
+        shares = nodes.area / max(np.sum(nodes.area), 1e-300)
         area, folded = float(np.sum(shares[bare])), _folded(grid, shares)
         if not all(model.edges):
             return cls(area, 0.0, 0.0, 0.0, 0.0, 0.0, folded)
         hole = float(np.sum(shares[bare & ~reached_from_the_edge(bare)]))
         rim = Rim.of(grid)
-        *few, second, first = sorted([0.0, 0.0, *rim.stretches(_around(bare))])
+        stretches = sorted(rim.stretches(_around(bare)))
+        outline, scattered = sum(stretches), sum(stretches[:-2])
         away = np.asarray(tree.query(rim.places + _BEYOND * side * rim.conormals)[0])
         crossed = float(np.sum(rim.shares[away < _NEAR * side]))
         loose = float(np.sum(rim.shares[_around(gap) > _LOOSE * side]))
-        return cls(area, sum(few) + second + first, sum(few), crossed, hole, loose, folded)
+        return cls(area, outline, scattered, crossed, hole, loose, folded)
 
 
 class Rim(NamedTuple):
@@ -127,8 +128,7 @@ def reached_from_the_edge(empty: Bool[np.ndarray, "m n"]) -> Bool[np.ndarray, "m
 
 def _folded(grid: Float[np.ndarray, "n_u n_v 3"], shares: Float[np.ndarray, "n_u n_v"]) -> float:
     """The part of the area between nodes where the normal turns by more than a right angle."""
-    normal = np.cross(np.gradient(grid, axis=0), np.gradient(grid, axis=1))
-    folded = 0.0
+    normal, folded = normals_around(grid), 0.0
     for one, other in ((np.s_[1:], np.s_[:-1]), (np.s_[:, 1:], np.s_[:, :-1])):
         turned = np.sum(normal[one] * normal[other], axis=-1) < 0
         folded += float(np.sum(np.minimum(shares[one], shares[other])[turned]))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -50,15 +49,6 @@ def few_points(end: Iterate, free: int) -> float:
     left = float(np.sum(seen.weights * seen.distance**2)) / freedom
     wider = max(left / max(seen.noise, 1e-300) ** 2, 1.0) if count < _MANY * free else 1.0
     return wider * (float(stdtrit(freedom, 0.975)) / quantile(0.95)) ** 2
-
-
-def less_informed(end: Iterate, factor: float) -> Iterate:
-    """The end with information that is smaller by a factor, so that all variances are larger by it."""
-    return dataclasses.replace(
-        end,
-        information=end.information / factor,
-        score_covariance=end.score_covariance / factor,
-    )
 
 
 def known_alone(

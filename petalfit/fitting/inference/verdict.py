@@ -112,9 +112,7 @@ def misfit_of(
     )
 
 
-def misfit_of_outline(
-    part: Agreement, seen: Coverage, systematic: float, is_free: bool = False
-) -> str:
+def misfit_of_outline(part: Agreement, seen: Coverage, systematic: float, is_free: bool) -> str:
     """The reason why the surface has another outline than a cloud; "" if it may have the same.
 
     A part of a petal may be hidden or cut off. Then the outline has no points along one stretch, and

@@ -35,5 +35,9 @@ class Quadrature(NamedTuple):
 
 def areas_around(grid: Float[np.ndarray, "n_u n_v 3"]) -> Float[np.ndarray, "n_u n_v"]:
     """The area of a surface around each node of a grid on it."""
-    sides = np.gradient(grid, axis=0), np.gradient(grid, axis=1)
-    return np.linalg.norm(np.cross(*sides), axis=-1)
+    return np.linalg.norm(normals_around(grid), axis=-1)
+
+
+def normals_around(grid: Float[np.ndarray, "n_u n_v 3"]) -> Float[np.ndarray, "n_u n_v 3"]:
+    """The normal of a surface at each node of a grid on it, as long as the area around it."""
+    return np.cross(np.gradient(grid, axis=0), np.gradient(grid, axis=1))
