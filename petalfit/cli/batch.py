@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from petalfit.cli.fit import Free, LossOption, ModelName, Noise, PoseOption, Seed, names_of
-from petalfit.cli.options import Quiet, require_noise, require_seed
+from petalfit.cli.fit import Free, LossOption, ModelName, Noise, PoseOption, Seed
+from petalfit.cli.options import Quiet, names_of, require_noise, require_seed
 from petalfit.cli.status import INTERRUPTED, NOT_CONVERGED, SUCCESS, require
 
 if TYPE_CHECKING:

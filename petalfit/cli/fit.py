@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from petalfit.cli.options import Quiet, require_noise, require_seed
+from petalfit.cli.options import Quiet, names_of, require_noise, require_seed
 from petalfit.cli.status import NOT_CONVERGED, SUCCESS, CommandError, require
 
 if TYPE_CHECKING:
@@ -164,7 +164,7 @@ def fit(
                 pose=pose,
                 loss=loss,
                 free=names_of(free),
-                init=None if init is None else FitResult.load(init).model,
+                init=None if init is None else FitResult.load(init),
                 noise=noise,
                 seed=seed,
                 base=place,
@@ -217,13 +217,6 @@ def _cameras(masks: list[Path], files: tuple[Path, ...]) -> "list[Camera | None]
         "single transforms.json or model of COLMAP.",
     )
     return [camera for camera in found if isinstance(camera, Camera)]
-
-
-def names_of(free: tuple[str, ...]) -> list[str] | None:
-    """The names in `--free` options, which may be repeated or separate names by commas."""
-    if not free:
-        return None
-    return [name for text in free for name in text.replace(",", " ").split()]
 
 
 def _base(text: str | None) -> Any:

@@ -4,9 +4,9 @@ import dataclasses
 from pathlib import Path
 from typing import Annotated
 
-from tyro.conf import Positional, arg
+from tyro.conf import Positional, UseAppendAction, arg
 
-from petalfit.cli.options import Quiet, require_seed
+from petalfit.cli.options import Quiet, names_of, require_seed
 from petalfit.cli.status import NOT_CONVERGED, SUCCESS, CommandError
 
 FLOWER = "flower.json"
@@ -45,6 +45,14 @@ ModelName = Annotated[
 LossOption = Annotated[
     str, arg(name="loss", metavar="LOSS", help="linear or robust, as for `petalfit fit`.")
 ]
+Shared = Annotated[
+    UseAppendAction[tuple[str, ...]],
+    arg(
+        metavar="NAME",
+        help="A shape parameter that is the same for all petals; may be repeated, or names separated by "
+        "commas.",
+    ),
+]
 Seed = Annotated[int, arg(metavar="S", help="Seed of the random choices.")]
 
 
@@ -54,6 +62,7 @@ def flower(
     petals: Petals = None,
     model: ModelName = None,
     loss: LossOption = "robust",
+    shared: Shared = (),
     seed: Seed = 0,
     quiet: Quiet = False,
 ) -> int:
@@ -81,6 +90,7 @@ def flower(
                 model=kind,
                 petals=petals,
                 loss=loss,
+                shared=names_of(shared) or (),
                 seed=seed,
                 progress=lambda text: show(text + again),
                 throw=False,

@@ -28,3 +28,10 @@ def require_noise(noise: float, *, least: str = "0 or more") -> None:
 def require_seed(seed: int) -> None:
     """Raises an error for a negative seed, which NumPy does not accept."""
     require(seed >= 0, f"--seed {seed} is negative; give 0 or more.")
+
+
+def names_of(given: tuple[str, ...]) -> list[str] | None:
+    """The names in options that may be repeated or separate names by commas; None without any."""
+    if not given:
+        return None
+    return [name for text in given for name in text.replace(",", " ").split()]

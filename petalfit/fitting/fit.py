@@ -23,7 +23,7 @@ from petalfit.fitting.families.registry import DEFAULT, families, family_of, pet
 from petalfit.fitting.outliers.loss import AbstractLoss
 from petalfit.fitting.outliers.registry import loss_named
 from petalfit.fitting.request import checks
-from petalfit.fitting.request.configuration import Fittable, configuration
+from petalfit.fitting.request.configuration import Fittable, configuration, inside_ranges
 from petalfit.fitting.request.request import Request
 from petalfit.fitting.request.targets import as_targets, with_noise_of_points
 from petalfit.fitting.result import FitResult
@@ -90,7 +90,7 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
     pose: str = "known",
     camera: Camera | None = None,
     free: Iterable[str] | None = None,
-    init: Fittable | None = None,
+    init: Fittable | FitResult | None = None,
     noise: Noise = None,
     loss: str = "linear",
     seed: int = 0,
@@ -120,7 +120,8 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
             no camera: it is then taken for an orthographic front view of unknown scale and position, the
             lengths are relative, and the result's pose maps the model to pixels.
         free: Names of the parameters to fit; by default all that the model does not declare fixed.
-        init: An instance to start from. Without it the fit finds its own start.
+        init: An instance to start from; for a cloud in a fitted pose, an earlier result, whose pose is
+            then the start too. Without it the fit finds its own start.
         noise: Standard deviation σ of the clouds' noise, in their unit; estimated if None. An array of
             shape (N,) has one σ for each point of a single cloud. For silhouettes σ is always estimated.
         loss: "linear": least squares, right for noise without gross outliers. "robust": points may
@@ -149,6 +150,11 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
         TargetError: The target cannot be used, or the options do not fit the model.
         FitError: The solver failed, and `throw` is True.
     """
+    begun = None
+    if isinstance(init, FitResult):
+        begun, init = (None if pose == "known" else init.pose), inside_ranges(init.model)
+        if begun is not None and base is not None:
+            raise TargetError("the pose of init says where the base is; leave base out.")
     check_request(
         model,
         pose=pose,
@@ -193,6 +199,7 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
                 "noise": sigma,
                 "seed": seed,
                 "every_point": every_point,
+                "begun": begun,
             }
             if pose != "known" and init is None:
                 targets = _petal_alone(model, targets, asked["loss"])
@@ -294,8 +301,10 @@ def _fit_component(
     )
     checks.check_targets(family, template, targets)
     posable = [one.kind.__name__ for one in families() if request.pose in one.poses]
-    given = request.from_template
-    checks.check_pose(family, template, request.pose, targets, given, posable)
+    begins = None
+    if request.from_template:
+        begins = "anywhere" if request.begun is None else "posed"
+    checks.check_pose(family, template, request.pose, targets, begins, posable)
     checks.check_loss(family, template, request.loss, targets)
     fitted, ends = run(family, request)
     with stage("errors"), jax.enable_x64(True):

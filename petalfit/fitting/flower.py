@@ -4,58 +4,36 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from petalfit.fitting.arrangement import (
-    CLEARLY,
-    Arranged,
-    Axis,
-    Placed,
-    arranged,
-    axes_of,
-    meeting_point,
-)
+from petalfit.fitting.arrangement import regular_axis
 from petalfit.fitting.error import FitError
 from petalfit.fitting.families.registry import FOR_SCANS, family_of
 from petalfit.fitting.fit import check_request, fit
-from petalfit.fitting.flower_result import FlowerResult, base_of
+from petalfit.fitting.flower_result import FlowerResult
+from petalfit.fitting.request.configuration import configuration
 from petalfit.fitting.result import FitResult
-from petalfit.fitting.segmentation import FEWEST, Segments, segments_of
+from petalfit.fitting.segmentation import FEWEST, Segments, meeting_point, segments_of
 from petalfit.fitting.segmentation.members import Sheet, memberships
+from petalfit.fitting.shared import about_shared, check_shared, shared_spreads, with_common
+from petalfit.fitting.siblings import NEAR, Petal, like_siblings, placed_of
 from petalfit.observations import PointCloud, TargetError, as_point_cloud
 from petalfit.observations.mesh_pieces import SEVERAL
-from petalfit.results import FitWarning, WarningKind
+from petalfit.results import FitWarning, Quantity, WarningKind
 from petalfit.surfaces import AbstractSurface, Pose
 
 MOST_PETALS = 60
 _SEEN = 12_000  # points that segments are found among
 _FITTED = 600  # points that a petal is fitted to
 _SMALL = 0.3  # of the median segment; a smaller one may be a part of others
-_EXPLAINED, _NEAR = (
-    0.7,
-    4.0,
-)  # the part of its points that then lies this near to them, in the noise
+_EXPLAINED = 0.7  # the part of its points that then lies on them
 _ON_SHEETS = 0.5  # the share of the points in segments below which sheets cannot be told apart
 _THICK = 0.25  # noise, in radii of neighbourhoods, from which points fill space
 _LEFT_OUT = 0.1  # the share of the points in no petal that is worth a warning
-
-
-class _Petal(NamedTuple):
-    """A petal that was fitted.
-
-    Attributes:
-        segment: The number of its segment.
-        result: Its fit.
-        sheet: Its surface.
-    """
-
-    segment: int
-    result: FitResult
-    sheet: Sheet
 
 
 def fit_flower(
@@ -64,6 +42,7 @@ def fit_flower(
     model: type[AbstractSurface] | AbstractSurface = FOR_SCANS,
     petals: int | None = None,
     loss: str = "robust",
+    shared: Sequence[str] = (),
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
     throw: bool = True,
@@ -71,7 +50,8 @@ def fit_flower(
     """Recover the petals of a flower from one scan: their number, their points, their parameters.
 
     The scan is first segmented into smooth sheets. A petal is fitted to each of them, and then all points
-    are assigned to the petals anew. Stalks, stamens and clutter that form no sheet belong to none.
+    are assigned to the petals anew. A petal that is unlike the others is fitted again from where they
+    would be in its place. Stalks, stamens and clutter that form no sheet belong to none.
 
     Args:
         target: A cloud of one flower in any position and unit: an (N, 3) array, a `PointCloud`, a trimesh
@@ -80,6 +60,8 @@ def fit_flower(
             any position and unit.
         petals: The number of petals, if it is known.
         loss: As in `fit`, for each petal.
+        shared: Names of shape parameters that are the same for all petals. Each petal is fitted for
+            itself, and then again with the means of what the petals determined.
         seed: The seed of random choices.
         progress: A function that is called with a line of text whenever a stage begins.
         throw: Whether to raise `FitError` if a fit failed; else `converged` of the result is False.
@@ -88,11 +70,14 @@ def fit_flower(
         The result. Read its `warnings`.
 
     Raises:
-        TargetError: The cloud cannot be used: it is too sparse, has too many sheets, or none.
+        TargetError: The cloud cannot be used: it is too sparse, has too many sheets, or none. Or a name
+            in `shared` is that of no free shape parameter, or fewer than three petals determine it.
         FitError: The solver failed for a petal, and `throw` is True.
     """
     say = progress or (lambda text: None)
     check_request(model, pose="similarity", loss=loss, free=None, init=None, noise=None)
+    shared = (shared,) if isinstance(shared, str) else tuple(shared)
+    check_shared(model, shared)
     cloud = _scan(target, seed)
     _check_count(cloud, petals)
     say("telling the sheets apart")
@@ -100,11 +85,18 @@ def fit_flower(
     seen = cloud.points[rng.permutation(len(cloud))[:_SEEN]]
     found = segments_of(seen, petals, seed)
     _check_segments(found, petals)
-    fitted = list(_fitted(seen, found, model, loss, seed, rng, petals is None, say))
+    options = {"pose": "similarity", "loss": loss, "seed": seed, "throw": False}
+    fitted = list(_fitted(seen, found, model, options, rng, petals is None, say))
     if not fitted:
         raise TargetError(
             "no petal could be fitted to any sheet of the cloud; crop it to the flower."
         )
+    if "init" in family_of(model).takes:
+        fitted = list(like_siblings(fitted, found.noise, model, options, say))
+    spreads = shared_spreads([petal.result for petal in fitted], shared)
+    common = {name: spread.mean for name, spread in spreads.items()}
+    if common:
+        fitted = list(_again(fitted, model, common, options, say))
     say("assigning the points")
     labels = np.full(len(seen), -1)
     for number, petal in enumerate(fitted):
@@ -112,6 +104,8 @@ def fit_flower(
     sheets = [petal.sheet for petal in fitted]
     members = memberships(cloud.points, sheets, seen, labels, found.noise)
     result = _arranged(cloud, [petal.result for petal in fitted], members, found, petals)
+    warnings = (*_warnings(result), *about_shared(spreads))
+    result = dataclasses.replace(result, shared=common, warnings=warnings)
     failed = [petal for petal in result.petals if not petal.converged]
     if throw and failed:
         raise FitError(f"the fit of a petal failed: {failed[0].message}", failed[0])
@@ -164,25 +158,21 @@ def _fitted(
     seen: Float[np.ndarray, "n 3"],
     found: Segments,
     model: type[AbstractSurface] | AbstractSurface,
-    loss: str,
-    seed: int,
+    options: Mapping[str, Any],
     rng: np.random.Generator,
     may_drop: bool,
     say: Callable[[str], None],
-) -> Iterator[_Petal]:
+) -> Iterator[Petal]:
     """A petal for each segment, the largest first; small ones that others explain are none."""
     inside = [np.flatnonzero(found.labels == label) for label in range(found.count)]
     sizes = np.array([len(part) for part in inside])
-    options = {"pose": "similarity", "loss": loss, "seed": seed, "throw": False}
     if found.count > 1 and "base" in family_of(model).takes:
-        options["base"] = meeting_point([seen[part] for part in inside])
+        options = {**options, "base": meeting_point([seen[part] for part in inside])}
     sheets: list[Sheet] = []
     for number, segment in enumerate(np.argsort(-sizes).tolist()):
         points = seen[inside[segment]]
         if may_drop and sheets and len(points) < _SMALL * np.median(sizes):
-            near = (
-                np.min([sheet.distance(points) for sheet in sheets], axis=0) < _NEAR * found.noise
-            )
+            near = np.min([sheet.distance(points) for sheet in sheets], axis=0) < NEAR * found.noise
             if np.mean(near) > _EXPLAINED:
                 continue
         some = points[rng.permutation(len(points))[:_FITTED]]
@@ -195,52 +185,62 @@ def _fitted(
         except TargetError:
             continue  # no petal has such a shape
         assert isinstance(result, FitResult)
-        sheets.append(Sheet.of(result.mesh()))
-        yield _Petal(segment, result, sheets[-1])
+        petal = Petal.of(segment, some, result)
+        sheets.append(petal.sheet)
+        yield petal
+
+
+def _again(
+    fitted: Sequence[Petal],
+    model: type[AbstractSurface] | AbstractSurface,
+    common: Mapping[str, Quantity],
+    options: Mapping[str, Any],
+    say: Callable[[str], None],
+) -> Iterator[Petal]:
+    """The petals, fitted again from where they are with common values of some parameters."""
+    free = [name for name in configuration(model, None, None)[1] if name not in common]
+    for number, petal in enumerate(fitted):
+        stage = f"petal {number + 1} of {len(fitted)} with what all share"
+        say(stage)
+        result = fit(
+            model,
+            petal.points,
+            free=free,
+            init=with_common(petal.result, common),
+            progress=lambda text, stage=stage: say(f"{stage}: {text}"),
+            **options,
+        )
+        assert isinstance(result, FitResult)
+        yield petal.with_result(result)
 
 
 def _arranged(
     cloud: PointCloud,
     petals: list[FitResult],
     members: Float[np.ndarray, "n k"],
-    found: Segments,
+    segments: Segments,
     given: int | None,
 ) -> FlowerResult:
     """The result, its petals in the order of their layout."""
-    placed = Placed(
-        np.stack([base_of(petal) for petal in petals]),
-        np.stack([np.asarray(petal.mesh((17, 17)).vertices).mean(axis=0) for petal in petals]),
-    )
-    guesses = [(axis, _about(placed, axis)) for axis in axes_of(placed)]
-    first, second = (found.bic for _, found in guesses)
-    (axes, origin, _), (layout, order, _) = guesses[int(second < first - CLEARLY)]
+    placed = placed_of(petals)
+    axis, found = regular_axis(placed)
+    order = found.order
     members = members[:, order]
     labels: Int[np.ndarray, " n"] = np.where(
         members.max(axis=1) > 1 - members.sum(axis=1), members.argmax(axis=1), -1
     )
     scale = float(np.median([float(petal.pose.scale) for petal in petals]))
-    rivals = () if given is not None else found.rivals
-    dropped = found.count - len(petals)
-    result = FlowerResult(
+    rivals = () if given is not None else segments.rivals
+    dropped = segments.count - len(petals)
+    return FlowerResult(
         target=cloud,
         petals=tuple(petals[k] for k in order),
         labels=labels,
         memberships=members,
-        axis=Pose(axes, origin, scale),
-        layout=layout,
+        axis=Pose(axis.axes, axis.origin, scale),
+        layout=found.layout,
         rivals=tuple(rival - dropped for rival in rivals if rival > dropped),
     )
-    return dataclasses.replace(result, warnings=tuple(_warnings(result)))
-
-
-def _about(placed: Placed, axis: Axis) -> Arranged:
-    """The layout of petals about an axis."""
-    middle = (placed.middle - axis.origin) @ axis.axes
-    base = (placed.base - axis.origin) @ axis.axes
-    way = middle - base
-    azimuth, radius = np.arctan2(middle[:, 2], middle[:, 0]), np.hypot(middle[:, 0], middle[:, 2])
-    opening = np.arctan2(np.hypot(way[:, 0], way[:, 2]), way[:, 1])
-    return arranged(azimuth, radius, opening, base[:, 1], axis.stderr)
 
 
 def _warnings(result: FlowerResult) -> Iterator[FitWarning]:

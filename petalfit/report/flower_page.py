@@ -65,7 +65,7 @@ def _page(result: FlowerRecord) -> str:
         f'<span class="status {state[0]}">{state[1]}</span></h1>\n<dl class="facts">{listing}</dl>\n'
         f"{warnings}\n<h2>Points by petal</h2>\n"
         f'<div class="pair">{_view(result, 1)}{_view(result, 2)}</div>'
-        f"\n<h2>Petals</h2>\n{_table(result)}\n{_whorls(result)}\n{_spread(result)}\n"
+        f"\n<h2>Petals</h2>\n{_table(result)}\n{_whorls(result)}\n{_shared(result)}\n{_spread(result)}\n"
         f'<p class="soft">{html.escape(result.made_by)} {html.escape(result.command)}</p>\n'
         "</main>\n</body>\n</html>\n"
     )
@@ -145,6 +145,19 @@ def _spread(result: FlowerRecord) -> str:
         "<h2>How alike the petals are</h2><table><thead><tr><th>number</th><th>mean</th>"
         "<th>standard deviation between petals</th><th>petals that determine it</th></tr></thead>"
         f"<tbody>{rows}</tbody></table>"
+    )
+
+
+def _shared(result: FlowerRecord) -> str:
+    if not result.shared:
+        return ""
+    rows = "".join(
+        f"<tr><td>{html.escape(name)}</td><td>{common}</td></tr>"
+        for name, common in result.shared.items()
+    )
+    return (
+        "<h2>What all petals share</h2><table><thead><tr><th>number</th><th>common value</th></tr>"
+        f"</thead><tbody>{rows}</tbody></table>"
     )
 
 

@@ -21,6 +21,7 @@ from petalfit.results.record import FitRecord as FitRecord
 from petalfit.results.record import Rank as Rank
 from petalfit.results.spread import Spread as Spread
 from petalfit.results.spread import spread_of as spread_of
+from petalfit.results.spread import spread_of_parameter as spread_of_parameter
 from petalfit.results.status import Status as Status
 from petalfit.results.trait import Posterior as Posterior
 from petalfit.results.trait import Trait as Trait

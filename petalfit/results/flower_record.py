@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import math
 import os
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import msgspec
@@ -17,9 +17,9 @@ from petalfit.components import models
 from petalfit.observations import PointCloud, TargetError, observation_from_json
 from petalfit.observations.atomic import atomic_path
 from petalfit.results.file import LARGEST, FitFile, Head, PoseOfFile, WarningOfFile, pose_of
-from petalfit.results.layout import Layout
+from petalfit.results.layout import Layout, Quantity
 from petalfit.results.record import FitRecord
-from petalfit.results.spread import Spread, spread_of
+from petalfit.results.spread import Spread, spreads_of
 from petalfit.results.warning import FitWarning
 from petalfit.schema import Count, NotNegative, SchemaError, encode
 from petalfit.surfaces import Pose
@@ -44,6 +44,7 @@ class FlowerFile(msgspec.Struct, kw_only=True):
     layout: Layout
     rivals: tuple[Count, ...]
     warnings: tuple[WarningOfFile, ...]
+    shared: dict[str, Quantity] = {}
     made_by: str = ""
     command: str = ""
 
@@ -63,6 +64,8 @@ class FlowerRecord:
             the place where the petals meet, and its unit the typical one of the petals' models.
         layout: How the petals are arranged about the axis.
         rivals: Other numbers of petals that the evidence hardly excludes.
+        shared: The parameters that all petals have in common: the means of what each petal determined for
+            itself. The fits of the petals hold them.
         warnings: Reasons to doubt the result.
         made_by: The version of petalfit that made the result.
         command: The command line that made the result; empty if none did.
@@ -76,6 +79,7 @@ class FlowerRecord:
     axis: Pose
     layout: Layout
     rivals: tuple[int, ...] = ()
+    shared: Mapping[str, Quantity] = dataclasses.field(default_factory=dict)
     warnings: tuple[FitWarning, ...] = ()
     made_by: str = f"petalfit {PETALFIT}"
     command: str = ""
@@ -100,22 +104,9 @@ class FlowerRecord:
     def spread(self) -> dict[str, Spread]:
         """How alike the petals are: mean and standard deviation of every trait and parameter.
 
-        Traits come first, in the target's unit; then the parameters. What fewer than three petals
-        determine is left out.
+        See `petalfit.results.spread.spreads_of`.
         """
-        found: dict[str, Spread | None] = {}
-        for name in self.petals[0].traits if self.petals else ():
-            traits = [petal.traits[name] for petal in self.petals]
-            found[name] = spread_of([t.value for t in traits], [t.stderr for t in traits])
-        for name in self.petals[0].names if self.petals else ():
-            if name not in found:
-                values = [petal.values[name] for petal in self.petals]
-                errors = [
-                    petal.stderr[name] if petal.identifiable[name] else math.inf
-                    for petal in self.petals
-                ]
-                found[name] = spread_of(values, errors)
-        return {name: spread for name, spread in found.items() if spread is not None}
+        return spreads_of(self.petals)
 
     def mesh(self, resolution: tuple[int, int] = (65, 65)) -> trimesh.Scene:
         """The fitted petals as a scene in the target's frame, with one named mesh a petal."""
@@ -200,6 +191,7 @@ class FlowerRecord:
             axis=pose_of(file.axis),
             layout=file.layout,
             rivals=file.rivals,
+            shared=file.shared,
             warnings=tuple(FitWarning(w.text, w.kind, w.parameters) for w in file.warnings),
             made_by=file.made_by,
             command=file.command,

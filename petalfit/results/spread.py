@@ -5,11 +5,15 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 
 from petalfit.results.layout import Quantity
+
+if TYPE_CHECKING:
+    from petalfit.results.record import FitRecord
 
 _FEWEST = 3  # petals of which a spread can be told
 
@@ -28,6 +32,31 @@ class Spread:
     mean: Quantity
     deviation: Quantity
     count: int
+
+
+def spreads_of(petals: Sequence[FitRecord]) -> dict[str, Spread]:
+    """The spread of every trait and parameter of some petals.
+
+    Traits come first, in the target's unit; then the parameters that have other names. What fewer than
+    three petals determine is left out.
+    """
+    if not petals:
+        return {}
+    found: dict[str, Spread | None] = {}
+    for name in petals[0].traits:
+        traits = [petal.traits[name] for petal in petals]
+        found[name] = spread_of([t.value for t in traits], [t.stderr for t in traits])
+    for name in petals[0].names:
+        if name not in found:
+            found[name] = spread_of_parameter(petals, name)
+    return {name: spread for name, spread in found.items() if spread is not None}
+
+
+def spread_of_parameter(petals: Sequence[FitRecord], name: str) -> Spread | None:
+    """The spread of a parameter of some petals; None if fewer than three of them determine it."""
+    known = [petal.identifiable[name] for petal in petals]
+    errors = [p.stderr[name] if k else math.inf for p, k in zip(petals, known, strict=True)]
+    return spread_of([petal.values[name] for petal in petals], errors)
 
 
 def spread_of(

@@ -31,3 +31,8 @@ def test_what_is_no_flower_leaves_nothing_behind(petalfit: Call, tmp_path: Path)
     outcome = petalfit("flower", tmp_path / "few.xyz", "--model", "auto", "--out", tmp_path / "out")
     assert outcome.status == 2
     assert "name a component" in outcome.err
+    np.savetxt(tmp_path / "flower.xyz", corolla(3)[0])
+    options = ("--shared", "bend,length", "--out", tmp_path / "out")
+    outcome = petalfit("flower", tmp_path / "flower.xyz", *options)
+    assert outcome.status == 2
+    assert "length is held by the unit of each petal's pose" in outcome.err

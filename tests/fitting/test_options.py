@@ -1,5 +1,6 @@
 """Options that a fit does not use are refused, and components of every shape are looked at."""
 
+import dataclasses
 from typing import ClassVar
 
 import jax.numpy as jnp
@@ -8,6 +9,65 @@ import pytest
 
 import petalfit as pf
 from petalfit.surfaces import angle, length, number
+
+
+@pytest.mark.parametrize(
+    ("model", "pose"),
+    [
+        (pf.BladePetal, "rigid"),
+        (pf.BladePetal, "similarity"),
+        (pf.PeonyPetal, "rigid"),
+    ],
+)
+def test_a_fit_starts_where_an_earlier_one_ended(model, pose):
+    # One end is clearly the base.
+    blade = pf.BladePetal(
+        length=12.0, widest=0.7, base_width=0.1, tip_width=0.3, bend=0.6, cup_mid=0.4
+    )
+    petal = blade if model is pf.BladePetal else pf.PeonyPetal(dy=2.0)
+    rng = np.random.default_rng(0)
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    turn = turn * np.sign(np.linalg.det(turn))
+    unit = 0.5 if pose == "similarity" else 1.0
+    clouds = [petal.sample(600, seed=seed, noise=0.02).points for seed in (1, 2)]
+    first, second = (unit * (points @ turn.T + [3.0, -40.0, 7.0]) for points in clouds)
+    earlier = pf.fit(model, first, pose=pose)
+    anew = pf.fit(model, second, pose=pose)
+    again = pf.fit(model, second, pose=pose, init=earlier)
+    assert again.converged
+    for name in again.names:
+        if again.identifiable[name]:
+            away = again.values[name] - anew.values[name]
+            assert abs(away) < 0.5 * anew.stderr[name], name
+
+
+@pytest.mark.parametrize("model", [pf.PeonyPetal, pf.BladePetal])
+def test_an_earlier_result_of_another_cloud_is_no_traceback(model):
+    cloud = model().sample(400, seed=1, noise=0.02).points
+    earlier = pf.fit(model, cloud, pose="similarity", loss="robust")
+    elsewhere = 30.0 * cloud[:, [1, 2, 0]] + [2e3, -5e3, 1e4]
+    found = pf.fit(model, elsewhere, pose="similarity", loss="robust", init=earlier, throw=False)
+    assert not found.converged or found.rms < 1.0
+
+
+def test_an_earlier_result_at_the_end_of_a_range_is_a_start():
+    cloud = pf.BladePetal().sample(300, seed=1, noise=0.02).points
+    earlier = pf.fit(pf.BladePetal, cloud, pose="rigid")
+    ended = dataclasses.replace(earlier.model, widest=0.92, base_width=0.0)
+    found = pf.fit(
+        pf.BladePetal, cloud, pose="rigid", init=dataclasses.replace(earlier, model=ended)
+    )
+    assert found.rms < 2 * earlier.rms
+
+
+def test_an_earlier_result_goes_with_one_cloud_and_no_base():
+    cloud = pf.BladePetal().sample(300, seed=1, noise=0.02).points
+    earlier = pf.fit(pf.BladePetal, cloud, pose="rigid")
+    with pytest.raises(pf.TargetError, match="says where the base is; leave base out"):
+        pf.fit(pf.BladePetal, cloud, pose="rigid", init=earlier, base="other")
+    with pytest.raises(pf.TargetError, match="has no pose to start from; give an earlier result"):
+        pf.fit(pf.BladePetal, cloud, pose="rigid", init=pf.BladePetal())
+    assert pf.fit(pf.BladePetal, cloud, init=earlier).converged
 
 
 @pytest.mark.parametrize(

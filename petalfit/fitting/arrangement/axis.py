@@ -1,15 +1,16 @@
-"""The axis of a flower: where its petals meet, and the direction that they surround."""
+"""The axis of a flower: the direction that its petals surround, and how they stand about it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
 
-_CANDIDATES = 1500
+from petalfit.surfaces import Pose
+
 _LEAST = 0.2  # length of the mean of the petals' directions, from which it is one
 _SHARED = 0.1  # weight of the mean direction beside equal inclination
 
@@ -20,10 +21,12 @@ class Placed(NamedTuple):
     Attributes:
         base: The middle of each petal's base, shape (k, 3).
         middle: The middle of each petal's surface, shape (k, 3).
+        along: The unit vector along which each petal leaves its base, shape (k, 3).
     """
 
     base: Float[np.ndarray, "k 3"]
     middle: Float[np.ndarray, "k 3"]
+    along: Float[np.ndarray, "k 3"]
 
     @property
     def direction(self) -> Float[np.ndarray, "k 3"]:
@@ -33,15 +36,7 @@ class Placed(NamedTuple):
 
     def without(self, k: int) -> Placed:
         """The places of all petals but one."""
-        return Placed(np.delete(self.base, k, axis=0), np.delete(self.middle, k, axis=0))
-
-
-def meeting_point(segments: Sequence[Float[np.ndarray, "_ 3"]]) -> Float[np.ndarray, "3"]:
-    """The point of several segments that is the nearest to all of them: petals meet at their bases."""
-    every = np.concatenate(segments)
-    some = every[:: max(1, len(every) // _CANDIDATES)]
-    away = sum(np.asarray(KDTree(segment).query(some)[0]) for segment in segments)
-    return some[int(np.argmin(away))]
+        return Placed(*(np.delete(places, k, axis=0) for places in self))
 
 
 class Axis(NamedTuple):
@@ -57,6 +52,60 @@ class Axis(NamedTuple):
     axes: Float[np.ndarray, "3 3"]
     origin: Float[np.ndarray, "3"]
     stderr: float
+
+    def about(self, placed: Placed) -> About:
+        """How petals stand about the axis."""
+        middle = (placed.middle - self.origin) @ self.axes
+        base = (placed.base - self.origin) @ self.axes
+        return About(
+            np.arctan2(middle[:, 2], middle[:, 0]),
+            np.hypot(middle[:, 0], middle[:, 2]),
+            _inclined(middle - base),
+            _inclined(placed.along @ self.axes),
+            base[:, 1],
+        )
+
+    def upright(self, points: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "k 2"]:
+        """The distances of points from the axis, and their heights along it."""
+        own = (points - self.origin) @ self.axes
+        return np.stack([np.hypot(own[:, 0], own[:, 2]), own[:, 1]], axis=-1)
+
+    def turning(self, one: Float[np.ndarray, "3"], other: Float[np.ndarray, "3"]) -> Pose:
+        """The turn about the axis that brings one place to the azimuth of another."""
+        (x, _, z), (a, _, b) = ((place - self.origin) @ self.axes for place in (one, other))
+        angle = np.arctan2(z, x) - np.arctan2(b, a)  # y turns z towards x
+        turn = Rotation.from_rotvec(angle * self.axes[:, 1]).as_matrix()
+        return Pose(turn, self.origin - turn @ self.origin, 1.0)
+
+    def moved(self, by: Float[np.ndarray, "4"]) -> Axis:
+        """The axis turned about its x and z axes, in rad, and moved along them."""
+        turn = Rotation.from_rotvec([by[0], 0.0, by[1]]).as_matrix()
+        shift = self.axes @ np.array([by[2], 0.0, by[3]])
+        return Axis(self.axes @ turn, self.origin + shift, self.stderr)
+
+
+class About(NamedTuple):
+    """How the petals of a flower stand about its axis.
+
+    Attributes:
+        azimuth: The angles of their middles about the axis, in rad, from x towards z, shape (k,).
+        radius: The distances of their middles from the axis, shape (k,).
+        inclination: The angles between the axis and the ways from their bases to their middles, in rad,
+            shape (k,).
+        opening: The angles between the axis and the directions in which they leave their bases, in rad,
+            shape (k,).
+        height: The heights of their bases along the axis, shape (k,).
+    """
+
+    azimuth: Float[np.ndarray, " k"]
+    radius: Float[np.ndarray, " k"]
+    inclination: Float[np.ndarray, " k"]
+    opening: Float[np.ndarray, " k"]
+    height: Float[np.ndarray, " k"]
+
+
+def _inclined(way: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
+    return np.arctan2(np.hypot(way[:, 0], way[:, 2]), way[:, 1])
 
 
 def axes_of(placed: Placed) -> list[Axis]:

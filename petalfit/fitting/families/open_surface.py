@@ -149,12 +149,15 @@ class OpenSurfaceFamily(AbstractFamily):
 
         def foresee() -> None:
             somewhere = request.template
-            if request.pose != "known" and not request.from_template:
+            if request.pose != "known":
                 somewhere = Posed(somewhere, np.eye(3), np.zeros(3), 1.0)
             begun(problem(somewhere), somewhere).end()
 
         foreseen = prepared(foresee)
-        starts: list[tuple[str, AbstractSurface]] = [("given", request.template)]
+        given = request.template
+        if request.begun is not None:
+            given = frame.placed(given, request.begun)
+        starts: list[tuple[str, AbstractSurface]] = [("given", given)]
         found: Sequence[CloudStart] = ()
         if not request.from_template:
             report("flattening the cloud")

@@ -93,7 +93,8 @@ def clear(
     term, rounds, members = cloud.match(model, None), 0, None
     while True:
         found = background.mixture(model, *cloud.apart(model, term), weights, noise)
-        kept = weights * found.members
+        # Of a surface that is no longer finite no point is a member.
+        kept = np.nan_to_num(weights * found.members)
         # Only points that may belong to the surface take part in the steps.
         some = np.flatnonzero(kept >= _NONE * np.max(kept))  # all, if none belongs to it
         end = _followed(

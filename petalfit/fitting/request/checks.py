@@ -71,7 +71,7 @@ def check_pose(
     template: AbstractSurface,
     pose: str,
     targets: Sequence[AbstractObservation],
-    from_template: bool,
+    begins: str | None,
     posable: Sequence[str],
 ) -> None:
     """Raises an error for a pose that does not go with the family, the model or the targets.
@@ -81,7 +81,7 @@ def check_pose(
         template: The component.
         pose: The pose that is asked for.
         targets: The observations.
-        from_template: Whether the fit starts at the template.
+        begins: Whether the fit starts at the template "anywhere" or "posed"; None if it searches.
         posable: Names of the models that can be fitted in that pose.
     """
     kind = type(template).__name__
@@ -96,8 +96,14 @@ def check_pose(
             )
     if pose == "known":
         return
-    if from_template:
-        raise TargetError(f"init has no pose to start from; leave it out with pose={pose!r}.")
+    if begins == "anywhere":
+        raise TargetError(
+            f"init has no pose to start from; give an earlier result with pose={pose!r}, or leave it out."
+        )
+    if begins == "posed" and (masks or len(targets) > 1):
+        raise TargetError(
+            "an earlier result as init is there for one cloud; leave init out for masks and joint fits."
+        )
     if len(masks) == len(targets):
         if pose == "similarity" or in_image:
             raise TargetError(

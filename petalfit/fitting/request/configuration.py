@@ -4,14 +4,28 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Iterable
-from typing import TypeAlias
+from typing import TypeAlias, TypeVar
+
+import numpy as np
 
 from petalfit.colours import AbstractPattern
 from petalfit.components import parameters
 from petalfit.observations import TargetError
-from petalfit.surfaces import AbstractSurface, value_at
+from petalfit.surfaces import AbstractSurface, value_at, with_value
 
 Fittable: TypeAlias = AbstractSurface | AbstractPattern
+Component = TypeVar("Component", bound=AbstractSurface)
+_INSIDE = 1e-3  # how far inside, in lengths of the range
+
+
+def inside_ranges(model: Component) -> Component:
+    """A model whose parameters lie inside their ranges, at whose ends a fit may have left them."""
+    for name, parameter in parameters(model).items():
+        low, high = parameter.bounds
+        value, step = float(value_at(model, name)), _INSIDE * (high - low)
+        if value in parameter.bounds:
+            model = with_value(model, name, np.clip(value, low + step, high - step))
+    return model
 
 
 def configuration(

@@ -12,7 +12,7 @@ from petalfit.fitting.outliers.loss import AbstractLoss
 from petalfit.fitting.outliers.scan import Scan
 from petalfit.fitting.starts.frame import NormalisedFrame
 from petalfit.observations import AbstractObservation, PointCloud
-from petalfit.surfaces import AbstractSurface
+from petalfit.surfaces import AbstractSurface, Pose
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -27,6 +27,8 @@ class Request:
         loss: The loss, which treats points that may not belong to the surface.
         noise: σ of the clouds' noise; None to estimate it.
         from_template: Whether to start at the template instead of searching for a start.
+        begun: The pose to start from, in the target's frame, if the template is to be started from in a
+            fitted pose.
         seed: The seed of random choices.
         base: A point near the base of the petal, in the targets' frame; None if it is not known which end
             is the base.
@@ -44,6 +46,7 @@ class Request:
     loss: AbstractLoss = dataclasses.field(default_factory=Linear)
     noise: float | None = None
     from_template: bool = False
+    begun: Pose | None = None
     seed: int = 0
     base: tuple[float, float, float] | None = None
     every_point: bool = False

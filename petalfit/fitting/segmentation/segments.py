@@ -8,6 +8,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from petalfit.fitting.segmentation.linkage import contact_widths, facets, joined, moved, renumbered
+from petalfit.fitting.segmentation.lobes import lobes_of
+from petalfit.fitting.segmentation.meeting import meeting_point
 from petalfit.fitting.segmentation.neighbours import COUNT, Neighbours
 from petalfit.fitting.segmentation.pairs import Pairs
 from petalfit.fitting.segmentation.planes import tangent_planes
@@ -23,6 +25,7 @@ _NEARLY = 0.25  # relative difference from these widths at which another number 
 _FIRST = 20  # points of the smallest facets that are joined
 _LEAST = 0.008  # smallest share of all points that a segment has
 _PART = 0.03  # smallest share of all points that a part has which is cut off at a waist
+_SCRAP = 0.15  # size of a segment, by that of the median one, below which it is no petal
 _ROUNDS = 3
 
 
@@ -76,10 +79,48 @@ def segments_of(
         labels = cut_at_waists(labels, pairs, _WAIST, _PART * len(points))
     labels = renumbered(moved(labels, pairs, few))
     thickness = noise / float(np.median(near.radius))
+    whole = labels
+    labels, more_or_fewer = _cut_at_lobes(labels, points, pairs, few)
+    trimmed = _without_scraps(labels)
     if count is not None:
+        if int(trimmed.max(initial=-1)) + 1 >= count:
+            labels = trimmed
         return Segments(_of_count(labels, pairs, count, few), noise, (), thickness)
-    rivals = _rivals(labels, pairs, _PART * len(points))
-    return Segments(labels, noise, rivals, thickness)
+    more_or_fewer |= _in_doubt(whole, trimmed, pairs, _PART * len(points))
+    found = int(trimmed.max(initial=-1)) + 1
+    return Segments(trimmed, noise, tuple(sorted(found + k for k in more_or_fewer)), thickness)
+
+
+def _cut_at_lobes(
+    labels: Int[np.ndarray, " n"], points: Float[np.ndarray, "n 3"], pairs: Pairs, least: float
+) -> tuple[Int[np.ndarray, " n"], frozenset[int]]:
+    """The labels after segments of petals that are fused at their bases have been cut, and its rivals.
+
+    With more segments the place of the bases is better known, so that others can then be cut.
+    """
+    rivals: frozenset[int] = frozenset()
+    for _ in range(_ROUNDS):
+        inside = [
+            np.flatnonzero(labels == label) for label in range(int(labels.max(initial=-1)) + 1)
+        ]
+        base = meeting_point([points[part] for part in inside]) if len(inside) > 1 else None
+        found = [lobes_of(points[part], part, pairs, base, least) for part in inside]
+        rivals = frozenset().union(*(lobes.rivals for lobes in found))
+        if all(lobes.count == 1 for lobes in found):
+            break
+        labels, number = labels.copy(), len(inside)
+        for part, lobes in zip(inside, found, strict=True):
+            for lobe in range(1, lobes.count):
+                labels[part[lobes.labels == lobe]] = number
+                number += 1
+    return labels, rivals
+
+
+def _without_scraps(labels: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
+    """The labels without segments that are far smaller than the others, which are no petals."""
+    sizes = np.bincount(labels[labels >= 0], minlength=1)
+    scraps = np.flatnonzero(sizes < _SCRAP * np.median(sizes))
+    return renumbered(np.where(np.isin(labels, scraps), -1, labels))
 
 
 def _of_count(
@@ -106,14 +147,18 @@ def _of_count(
     return labels
 
 
-def _rivals(labels: Int[np.ndarray, " n"], pairs: Pairs, least: float) -> tuple[int, ...]:
-    """Other numbers of segments, if a contact or a waist nearly has the width to count."""
-    count = int(labels.max(initial=-1)) + 1
-    widest = max(contact_widths(labels, pairs).values(), default=0.0)
+def _in_doubt(
+    whole: Int[np.ndarray, " n"], labels: Int[np.ndarray, " n"], pairs: Pairs, least: float
+) -> frozenset[int]:
+    """−1 if a contact nearly has the width to count, 1 if a waist nearly is narrow enough.
+
+    Lobes of one segment have wide contacts, so that contacts are those of the whole segments.
+    """
+    widest = max(contact_widths(whole, pairs).values(), default=0.0)
     waists = [
         narrowest_waist(np.flatnonzero(labels == label), pairs, least).width
-        for label in range(count)
+        for label in range(int(labels.max(initial=-1)) + 1)
     ]
     fewer = widest > (1 - _NEARLY) * _CONTACT
     more = min(waists, default=np.inf) < (1 + _NEARLY) * _WAIST
-    return (count - 1,) * fewer + (count + 1,) * more
+    return frozenset([-1] * fewer + [1] * more)

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from petalfit.components import Posed
 from petalfit.fitting.likelihood.observed import Residuals
-from petalfit.surfaces import in_doubles
+from petalfit.surfaces import AbstractSurface, Pose, in_doubles
 
 # Points are rounded to this grain, relative to the extent; no instrument is so precise. If a cloud is
 # given turned or in another unit, its points differ by the last bits of float64. With these cut off, the
@@ -55,6 +55,14 @@ class NormalisedFrame:
             return own
         grain = _GRAIN * 2.0 ** np.floor(np.log2(np.ptp(own)))
         return np.round(own / grain) * grain
+
+    def placed(self, surface: AbstractSurface, pose: Pose) -> Posed:
+        """A component in a pose of the target's frame, posed in this frame."""
+        place = (np.asarray(pose.translation) - self.centre) @ self.axes / self.unit
+        rotation = self.axes.T @ np.asarray(pose.rotation)
+        return Posed(
+            in_doubles(surface), rotation, place, np.float64(float(pose.scale) / self.unit)
+        )
 
     def back(self, posed: Posed) -> Posed:
         """Transforms a posed component to the target's frame; its turns and shifts become zero."""

@@ -78,7 +78,10 @@ class PeonyFamily(AbstractFamily):
             redundant = self.gauges[request.pose]
             free = tuple(name for name in request.free if name not in redundant)
             template = cast(PeonyPetal, request.template)
-            found = _from_anywhere(template, free, request.pose, scan)
+            begun = None
+            if request.begun is not None:
+                begun = frame.placed(template, request.begun)
+            found = _from_anywhere(template, free, request.pose, scan, begun)
             ends = [_in_target(end, frame) for end in found]
         best, *others = ends
         return [with_all_points(best, 0, request.cloud), *others]
@@ -119,17 +122,15 @@ def _from_known(coordinates: Coordinates, scan: Scan, from_template: bool) -> li
 
 
 def _from_anywhere(
-    template: PeonyPetal, free: tuple[str, ...], pose: str, scan: Scan
+    template: PeonyPetal, free: tuple[str, ...], pose: str, scan: Scan, begun: Posed | None
 ) -> list[Iterate]:
-    """Ends of a fit in an unknown pose, for all poses that the cloud allows."""
+    """Ends of a fit in an unknown pose, for all poses that the cloud allows, or near a given one."""
     names = (*free, *Posed.free_in(pose))
-    report("searching the pose")
     some = scan.some(START_POINTS)
     points, weights = scan.points[some], scan.weights[some]
     smooth = template
     if "rib_amplitude" in free:
         smooth = with_values(template, {"rib_amplitude": 0.0})
-    placed = placed_petals(smooth, free, points, pose)
     background = scan.background or Clutter.around(scan.points)
 
     def approached(start: Placed) -> Iterate:
@@ -139,6 +140,13 @@ def _from_anywhere(
         held = Coordinates.of(posed, names).holding(RIBS)
         return approach(held, background, posed, points, weights)
 
+    if begun is not None:
+        place = begun.placement
+        turn, shift = np.asarray(place.rotation), np.asarray(place.translation)
+        start = Placed(smooth, turn, shift, float(place.scale), np.nan)
+        return _polished_poses(template, names, scan, approached(start), "given")
+    report("searching the pose")
+    placed = placed_petals(smooth, free, points, pose)
     found: list[Iterate] = []
     easy = pose == "rigid" and scan.background is None
     at_first, again = _TRIED if easy else _TRIED_IN_DOUBT
