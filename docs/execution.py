@@ -12,7 +12,7 @@ from nbformat import NotebookNode
 
 NOTEBOOKS = Path(__file__).parents[1] / "notebooks"
 # They begin first, so that none of them is left alone with one core.
-LONGEST = ("ten_scans", "real_petals", "noise_and_clutter", "petal_from_mask")
+LONGEST = ("ten_scans", "whole_flower", "real_petals", "noise_and_clutter", "petal_from_mask")
 
 # By the code of their cells: what Sphinx reads may have other links in its text.
 _running: dict[tuple[str, ...], Future[NotebookNode]] = {}
