@@ -22,7 +22,7 @@ def blocks(page: str, language: str) -> list[str]:
 def test_the_flower_of_the_page_grows(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     names: dict = {}
-    flower, slope, _ = blocks("flowers.md", "python")
+    flower, slope, *_ = blocks("flowers.md", "python")
     with jax.enable_x64(True):
         exec(flower, names)
         exec(slope, names)

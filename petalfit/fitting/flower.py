@@ -15,6 +15,7 @@ from petalfit.fitting.error import FitError
 from petalfit.fitting.families.registry import FOR_SCANS, family_of
 from petalfit.fitting.fit import check_request, fit
 from petalfit.fitting.flower_result import FlowerResult
+from petalfit.fitting.parts import joined_parts
 from petalfit.fitting.request.configuration import configuration
 from petalfit.fitting.result import FitResult
 from petalfit.fitting.segmentation import FEWEST, Segments, meeting_point, segments_of
@@ -91,6 +92,11 @@ def fit_flower(
         raise TargetError(
             "no petal could be fitted to any sheet of the cloud; crop it to the flower."
         )
+    labels = found.labels
+    if petals is None:
+        fitted, labels = joined_parts(
+            fitted, seen, labels, found.contacts, found.noise, _FITTED, model, options, rng, say
+        )
     if "init" in family_of(model).takes:
         fitted = list(like_siblings(fitted, found.noise, model, options, say))
     spreads = shared_spreads([petal.result for petal in fitted], shared)
@@ -98,9 +104,8 @@ def fit_flower(
     if common:
         fitted = list(_again(fitted, model, common, options, say))
     say("assigning the points")
-    labels = np.full(len(seen), -1)
-    for number, petal in enumerate(fitted):
-        labels[found.labels == petal.segment] = number
+    numbers = {petal.segment: number for number, petal in enumerate(fitted)}
+    labels = np.array([numbers.get(label, -1) for label in labels.tolist()])
     sheets = [petal.sheet for petal in fitted]
     members = memberships(cloud.points, sheets, seen, labels, found.noise)
     result = _arranged(cloud, [petal.result for petal in fitted], members, found, petals)

@@ -11,6 +11,7 @@ from scipy.spatial import KDTree
 
 import petalfit as pf
 from petalfit.fitting.arrangement import About, Arranged, Axis, Placed, arranged, axes_of, refined
+from petalfit.fitting.parts import joined_parts
 from petalfit.fitting.segmentation import meeting_point, segments_of
 from petalfit.fitting.segmentation.members import Sheet, memberships
 from petalfit.fitting.siblings import Petal, like_siblings
@@ -325,6 +326,27 @@ def test_petals_share_what_is_said_to_be_shared(result: pf.FlowerResult, tmp_pat
 def test_what_cannot_be_shared_is_refused(model: type, shared: tuple[str], said: str) -> None:
     with pytest.raises(pf.TargetError, match=said):
         pf.fit_flower(corolla(3)[0], model=model, shared=shared)
+
+
+def test_parts_of_one_petal_are_joined_and_parts_of_two_are_not() -> None:
+    points, truth = corolla(3)
+    away = np.hypot(points[:, 0], points[:, 2])
+    outer = away > np.quantile(away, 0.55)
+    labels = np.select([truth == 2, truth == 1], [4, 2 + outer], outer.astype(int))
+    options = {"pose": "similarity", "loss": "robust", "throw": False}
+    parts = [points[labels == k] for k in range(5)]
+    fitted = [
+        Petal.of(k, part, pf.fit(pf.BladePetal, part, **options)) for k, part in enumerate(parts)
+    ]
+    contacts = {(1, 3): 0.5, (0, 1): 0.3, (2, 3): 0.2, (0, 4): 0.05}
+    rng, said = np.random.default_rng(0), []
+    joined, found = joined_parts(
+        fitted, points, labels, contacts, NOISE, 500, pf.BladePetal, options, rng, said.append
+    )
+    assert len(said) == 3
+    assert sorted(petal.segment for petal in joined) == [0, 2, 4]
+    assert all(len(np.unique(truth[found == k])) == 1 for k in (0, 2, 4))
+    assert all(petal.explained(NOISE) > 0.95 for petal in joined)
 
 
 def test_a_petal_in_a_wrong_pose_is_fitted_again_as_its_siblings_are() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -38,12 +39,15 @@ class Segments:
         noise: Standard deviation of the points' distances from their sheets.
         rivals: Other numbers of segments that the evidence hardly excludes.
         thickness: The noise in median radii of neighbourhoods: 0.3 where points fill space.
+        contacts: The widths of the smooth contacts of two segments, by the root of the smaller one's
+            number of points; the smaller label comes first. Lobes of one sheet have none.
     """
 
     labels: Int[np.ndarray, " n"]
     noise: float
     rivals: tuple[int, ...]
     thickness: float
+    contacts: Mapping[tuple[int, int], float]
 
     @property
     def count(self) -> int:
@@ -85,10 +89,11 @@ def segments_of(
     if count is not None:
         if int(trimmed.max(initial=-1)) + 1 >= count:
             labels = trimmed
-        return Segments(_of_count(labels, pairs, count, few), noise, (), thickness)
+        return Segments(_of_count(labels, pairs, count, few), noise, (), thickness, {})
     more_or_fewer |= _in_doubt(whole, trimmed, pairs, _PART * len(points))
     found = int(trimmed.max(initial=-1)) + 1
-    return Segments(trimmed, noise, tuple(sorted(found + k for k in more_or_fewer)), thickness)
+    rivals = tuple(sorted(found + k for k in more_or_fewer))
+    return Segments(trimmed, noise, rivals, thickness, _contacts(trimmed, whole, pairs))
 
 
 def _cut_at_lobes(
@@ -114,6 +119,16 @@ def _cut_at_lobes(
                 labels[part[lobes.labels == lobe]] = number
                 number += 1
     return labels, rivals
+
+
+def _contacts(
+    labels: Int[np.ndarray, " n"], whole: Int[np.ndarray, " n"], pairs: Pairs
+) -> dict[tuple[int, int], float]:
+    """The contacts of segments that were never one."""
+    count = int(labels.max(initial=-1)) + 1
+    sheet = [int(np.bincount(whole[labels == label] + 1).argmax()) for label in range(count)]
+    widths = contact_widths(labels, pairs)
+    return {(a, b): width for (a, b), width in widths.items() if sheet[a] != sheet[b]}
 
 
 def _without_scraps(labels: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
