@@ -301,10 +301,7 @@ def _fit_component(
     )
     checks.check_targets(family, template, targets)
     posable = [one.kind.__name__ for one in families() if request.pose in one.poses]
-    begins = None
-    if request.from_template:
-        begins = "anywhere" if request.begun is None else "posed"
-    checks.check_pose(family, template, request.pose, targets, begins, posable)
+    checks.check_pose(family, request, posable)
     checks.check_loss(family, template, request.loss, targets)
     fitted, ends = run(family, request)
     with stage("errors"), jax.enable_x64(True):

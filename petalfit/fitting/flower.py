@@ -19,6 +19,7 @@ from petalfit.fitting.parts import joined_parts
 from petalfit.fitting.request.configuration import configuration
 from petalfit.fitting.result import FitResult
 from petalfit.fitting.segmentation import FEWEST, Segments, meeting_point, segments_of
+from petalfit.fitting.segmentation.linkage import members_of
 from petalfit.fitting.segmentation.members import Sheet, memberships
 from petalfit.fitting.shared import about_shared, check_shared, shared_spreads, with_common
 from petalfit.fitting.siblings import NEAR, Petal, like_siblings, placed_of
@@ -169,7 +170,7 @@ def _fitted(
     say: Callable[[str], None],
 ) -> Iterator[Petal]:
     """A petal for each segment, the largest first; small ones that others explain are none."""
-    inside = [np.flatnonzero(found.labels == label) for label in range(found.count)]
+    inside = members_of(found.labels)
     sizes = np.array([len(part) for part in inside])
     if found.count > 1 and "base" in family_of(model).takes:
         options = {**options, "base": meeting_point([seen[part] for part in inside])}

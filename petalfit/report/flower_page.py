@@ -6,6 +6,7 @@ import html
 import importlib.resources
 import math
 import os
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -115,8 +116,7 @@ def _table(result: FlowerRecord) -> str:
     )
     measured = bool(result.petals and result.petals[0].traits)
     heads = ["petal", "points", *(["length", "width", "area"] if measured else []), "rms", "fit"]
-    head = "".join(f"<th>{text}</th>" for text in heads)
-    return f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
+    return _tabled(heads, rows)
 
 
 def _whorls(result: FlowerRecord) -> str:
@@ -127,10 +127,7 @@ def _whorls(result: FlowerRecord) -> str:
         f"<td>{_turn(whorl.opening.value, whorl.opening.stderr)}</td><td>{whorl.height}</td></tr>"
         for whorl in result.layout.whorls
     )
-    return (
-        "<h2>Whorls</h2><table><thead><tr><th>petals</th><th>phase</th><th>opening</th><th>height</th>"
-        f"</tr></thead><tbody>{rows}</tbody></table>"
-    )
+    return _section("Whorls", ("petals", "phase", "opening", "height"), rows)
 
 
 def _spread(result: FlowerRecord) -> str:
@@ -141,11 +138,8 @@ def _spread(result: FlowerRecord) -> str:
         f"<td>{spread.count}</td></tr>"
         for name, spread in result.spread.items()
     )
-    return (
-        "<h2>How alike the petals are</h2><table><thead><tr><th>number</th><th>mean</th>"
-        "<th>standard deviation between petals</th><th>petals that determine it</th></tr></thead>"
-        f"<tbody>{rows}</tbody></table>"
-    )
+    heads = ("number", "mean", "standard deviation between petals", "petals that determine it")
+    return _section("How alike the petals are", heads, rows)
 
 
 def _shared(result: FlowerRecord) -> str:
@@ -155,10 +149,17 @@ def _shared(result: FlowerRecord) -> str:
         f"<tr><td>{html.escape(name)}</td><td>{common}</td></tr>"
         for name, common in result.shared.items()
     )
-    return (
-        "<h2>What all petals share</h2><table><thead><tr><th>number</th><th>common value</th></tr>"
-        f"</thead><tbody>{rows}</tbody></table>"
-    )
+    return _section("What all petals share", ("number", "common value"), rows)
+
+
+def _section(title: str, heads: Sequence[str], rows: str) -> str:
+    """A table under a title."""
+    return f"<h2>{title}</h2>{_tabled(heads, rows)}"
+
+
+def _tabled(heads: Sequence[str], rows: str) -> str:
+    head = "".join(f"<th>{text}</th>" for text in heads)
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
 
 
 def _turn(value: float, stderr: float) -> str:

@@ -104,7 +104,8 @@ class FlowerRecord:
     def spread(self) -> dict[str, Spread]:
         """How alike the petals are: mean and standard deviation of every trait and parameter.
 
-        See `petalfit.results.spread.spreads_of`.
+        Traits come first, in the target's unit; then the parameters that have other names. What fewer
+        than three petals determine is left out.
         """
         return spreads_of(self.petals)
 

@@ -35,11 +35,7 @@ class Spread:
 
 
 def spreads_of(petals: Sequence[FitRecord]) -> dict[str, Spread]:
-    """The spread of every trait and parameter of some petals.
-
-    Traits come first, in the target's unit; then the parameters that have other names. What fewer than
-    three petals determine is left out.
-    """
+    """The spread of every trait and parameter of some petals. See `FlowerRecord.spread`."""
     if not petals:
         return {}
     found: dict[str, Spread | None] = {}

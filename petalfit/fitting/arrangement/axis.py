@@ -104,6 +104,11 @@ class About(NamedTuple):
     height: Float[np.ndarray, " k"]
 
 
+def wrapped(angle: Float[np.ndarray, "*k"]) -> Float[np.ndarray, "*k"]:
+    """The same angles, from −π to π."""
+    return angle - 2 * np.pi * np.round(angle / (2 * np.pi))
+
+
 def _inclined(way: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
     return np.arctan2(np.hypot(way[:, 0], way[:, 2]), way[:, 1])
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import least_squares
 
-from petalfit.fitting.arrangement.axis import Axis, Placed, axes_of
+from petalfit.fitting.arrangement.axis import Axis, Placed, axes_of, wrapped
 from petalfit.fitting.arrangement.whorls import CLEARLY, Arranged, Pattern, arranged
 
 _ASIDE, _WAYS = 0.1, 8  # rad, by which other axes are turned, and in how many directions
@@ -17,7 +17,7 @@ _TURNS = [
     for turn in 2 * np.pi * np.arange(_WAYS) / _WAYS
 ]
 _NUMBERS = 4  # of an axis: two turns, two shifts
-_FARTHEST = (0.5, 0.5, 0.5, 0.5)  # in rad, and in mean distances of petals from the axis
+_FARTHEST = 0.5  # in rad, and in mean distances of petals from the axis
 
 
 def regular_axis(placed: Placed) -> tuple[Axis, Arranged]:
@@ -57,26 +57,23 @@ def refined(placed: Placed, axis: Axis, pattern: Pattern) -> Axis:
     Returns:
         The axis; the given one if there are too few petals to tell.
     """
-    count, unit = len(placed.base), float(axis.about(placed).radius.mean())
+    before = axis.about(placed)
+    count, unit, slant = len(placed.base), float(before.radius.mean()), np.sin(before.inclination)
 
     def residuals(by: Float[np.ndarray, "4"]) -> Float[np.ndarray, " m"]:
         about = axis.moved(by * [1.0, 1.0, unit, unit]).about(placed)
-        off = about.azimuth - pattern.azimuth
-        off = off - 2 * math.pi * np.round(off / (2 * math.pi))
         parts = [
-            _beside(off, pattern.phases) * np.sin(pattern_inclination),
+            _beside(wrapped(about.azimuth - pattern.azimuth), pattern.phases) * slant,
             _beside(about.inclination, pattern.trend),
             _beside(about.radius / unit, pattern.trend),
         ]
         return np.concatenate(parts)
 
-    pattern_inclination = axis.about(placed).inclination
     freedom = 3 * count - pattern.phases.shape[1] - 2 * pattern.trend.shape[1] - _NUMBERS
     if freedom < 1:
         return axis
-    low, high = -np.array(_FARTHEST), np.array(_FARTHEST)
-    found = least_squares(residuals, np.zeros(_NUMBERS), bounds=(low, high))
-    if np.any(np.abs(found.x) > 0.99 * high):
+    found = least_squares(residuals, np.zeros(_NUMBERS), bounds=(-_FARTHEST, _FARTHEST))
+    if np.any(np.abs(found.x) > 0.99 * _FARTHEST):
         return axis
     variance = 2 * found.cost / freedom * np.linalg.pinv(found.jac.T @ found.jac)
     stderr = math.sqrt(float(variance[0, 0] + variance[1, 1]))

@@ -9,6 +9,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.optimize import linear_sum_assignment
 
+from petalfit.fitting.arrangement.axis import wrapped
+
 _STEP = math.radians(0.5)  # between divergences that are tried
 _PHASES = 60
 _SCATTER = 0.08  # rad; the expected scatter of azimuths about a spiral
@@ -71,8 +73,7 @@ def _off(
 ) -> Float[np.ndarray, "p k k"]:
     """The differences of all azimuths from those of all ranks."""
     there = turn * np.arange(len(azimuth)) + phase[:, None]
-    off = azimuth[:, None] - there[:, None, :]
-    return off - 2 * math.pi * np.round(off / (2 * math.pi))
+    return wrapped(azimuth[:, None] - there[:, None, :])
 
 
 def _bounds(

@@ -15,6 +15,7 @@ from petalfit.surfaces import AbstractSurface
 
 if TYPE_CHECKING:
     from petalfit.fitting.families.family import AbstractFamily
+    from petalfit.fitting.request.request import Request
 
 POSES = ("known", "rigid", "similarity")
 _HEAVIEST = 1e9
@@ -66,24 +67,15 @@ def check_used(family: AbstractFamily, given: Sequence[str]) -> None:
     refuse(f"a {family.kind.__name__}", [name for name in given if name not in family.takes])
 
 
-def check_pose(
-    family: AbstractFamily,
-    template: AbstractSurface,
-    pose: str,
-    targets: Sequence[AbstractObservation],
-    begins: str | None,
-    posable: Sequence[str],
-) -> None:
+def check_pose(family: AbstractFamily, request: Request, posable: Sequence[str]) -> None:
     """Raises an error for a pose that does not go with the family, the model or the targets.
 
     Args:
         family: The family of the template.
-        template: The component.
-        pose: The pose that is asked for.
-        targets: The observations.
-        begins: Whether the fit starts at the template "anywhere" or "posed"; None if it searches.
+        request: What is asked for.
         posable: Names of the models that can be fitted in that pose.
     """
+    template, targets, pose = request.template, request.targets, request.pose
     kind = type(template).__name__
     masks = [target for target in targets if isinstance(target, Silhouette)]
     in_image = any(mask.camera is None for mask in masks)
@@ -96,11 +88,11 @@ def check_pose(
             )
     if pose == "known":
         return
-    if begins == "anywhere":
+    if request.from_template and request.begun is None:
         raise TargetError(
             f"init has no pose to start from; give an earlier result with pose={pose!r}, or leave it out."
         )
-    if begins == "posed" and (masks or len(targets) > 1):
+    if request.begun is not None and not request.is_one_cloud:
         raise TargetError(
             "an earlier result as init is there for one cloud; leave init out for masks and joint fits."
         )

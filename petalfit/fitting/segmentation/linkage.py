@@ -87,7 +87,7 @@ def moved(labels: Int[np.ndarray, " n"], pairs: Pairs, least: float) -> Int[np.n
     Returns:
         Labels; −1 where the evidence speaks for no cluster.
     """
-    n, count = len(labels), int(labels.max(initial=-1)) + 1
+    n, count = len(labels), count_of(labels)
     row = np.concatenate([pairs.one, pairs.other])
     column = np.concatenate([pairs.other, pairs.one])
     evidence = np.tile(pairs.same, 2)
@@ -112,7 +112,7 @@ def contacts(labels: Int[np.ndarray, " n"], pairs: Pairs) -> dict[tuple[int, int
     """
     a, b = labels[pairs.one], labels[pairs.other]
     across = (a >= 0) & (b >= 0) & (a != b)
-    count = int(labels.max(initial=-1)) + 1
+    count = count_of(labels)
     keys = np.minimum(a, b)[across] * count + np.maximum(a, b)[across]
     unique, where = np.unique(keys, return_inverse=True)
     evidence = pairs.smooth[across]
@@ -162,6 +162,16 @@ def contact_widths(labels: Int[np.ndarray, " n"], pairs: Pairs) -> dict[tuple[in
     width = np.asarray(width_of(given)) / np.sqrt(np.minimum(sizes[one], sizes[other]))
     width[against > _AGAINST * given] = 0.0
     return dict(zip(zip(one.tolist(), other.tolist(), strict=True), width.tolist(), strict=True))
+
+
+def count_of(labels: Int[np.ndarray, " n"]) -> int:
+    """The number of clusters."""
+    return int(labels.max(initial=-1)) + 1
+
+
+def members_of(labels: Int[np.ndarray, " n"]) -> list[Int[np.ndarray, " _"]]:
+    """The indices of the points of each cluster."""
+    return [np.flatnonzero(labels == label) for label in range(count_of(labels))]
 
 
 def renumbered(labels: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import coo_array, csr_array
+from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 
 from petalfit.fitting.segmentation.pairs import Pairs
@@ -36,7 +36,7 @@ class Lobes:
 
 
 def lobes_of(
-    points: Float[np.ndarray, "m 3"],
+    points: Float[np.ndarray, "n 3"],
     inside: Int[np.ndarray, " m"],
     pairs: Pairs,
     base: Float[np.ndarray, "3"] | None,
@@ -49,24 +49,24 @@ def lobes_of(
     they part, which is the persistence of the maximum (Edelsbrunner and others, 2002).
 
     Args:
-        points: The points of the segment.
-        inside: Their indices in `pairs`.
-        pairs: The pairs of near points of the whole cloud.
+        points: The points of the cloud.
+        inside: The indices of the segment's points.
+        pairs: The pairs of near points of the cloud.
         base: A place near the base; None if it is not known, and a segment of three lobes or more has it
             in their middle.
         least: The number of points that a lobe has at least.
     """
-    graph = _graph(points, inside, pairs)
-    whole = Lobes(np.zeros(len(points), int), 1, frozenset())
-    if len(points) < 2 * least:
+    whole = Lobes(np.zeros(len(inside), int), 1, frozenset())
+    if len(inside) < 2 * least:
         return whole
-    away = _from_base(graph, points, base)
+    graph = pairs.graph(inside, np.linalg.norm(points[pairs.one] - points[pairs.other], axis=1))
+    away = _from_base(graph, points[inside], base)
     tips, rivals = _tips(graph, away, least)
     if base is None and len(tips) < _FEWEST:
         return whole
     if not tips:
         return dataclasses.replace(whole, rivals=rivals)
-    bodies = np.full(len(points), -1)
+    bodies = np.full(len(inside), -1)
     for number, (tip, parting) in enumerate(tips):
         beyond = np.flatnonzero(away > parting)
         piece = connected_components(graph[beyond][:, beyond], directed=False)[1]
@@ -77,20 +77,6 @@ def lobes_of(
     reached = nearest >= 0
     labels = np.where(reached, bodies[np.where(reached, nearest, known[0])], 0)
     return Lobes(labels, len(tips), rivals)
-
-
-def _graph(
-    points: Float[np.ndarray, "m 3"], inside: Int[np.ndarray, " m"], pairs: Pairs
-) -> csr_array:
-    """The symmetric graph of the distances between neighbours on one smooth sheet."""
-    place = np.full(int(max(pairs.one.max(), pairs.other.max())) + 1, -1)
-    place[inside] = np.arange(len(inside))
-    a, b = place[pairs.one], place[pairs.other]
-    kept = (a >= 0) & (b >= 0) & (pairs.smooth > 0)
-    a, b = a[kept], b[kept]
-    way = np.linalg.norm(points[a] - points[b], axis=1)
-    graph = coo_array((way, (a, b)), shape=(len(inside), len(inside)))
-    return csr_array(graph + graph.T)
 
 
 def _from_base(

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.sparse import coo_array, csr_array
 
 from petalfit.fitting.segmentation.neighbours import COUNT, Neighbours
 from petalfit.fitting.segmentation.quadrics import Quadrics
@@ -59,6 +60,20 @@ class Pairs(NamedTuple):
         _, once = np.unique(one * n + other, return_index=True)
         smooth, same = (np.clip(x.ravel()[once], -1, 1) for x in (smooth, same))
         return cls(one[once], other[once], smooth, same)
+
+    def graph(self, inside: Int[np.ndarray, " n"], values: Float[np.ndarray, " m"]) -> csr_array:
+        """The symmetric graph of the pairs among some points that speak for one smooth sheet.
+
+        Args:
+            inside: Indices of the points.
+            values: The value of each pair of all points.
+        """
+        place = np.full(int(max(self.one.max(), self.other.max())) + 1, -1)
+        place[inside] = np.arange(len(inside))
+        a, b = place[self.one], place[self.other]
+        kept = (a >= 0) & (b >= 0) & (self.smooth > 0)
+        graph = coo_array((values[kept], (a[kept], b[kept])), shape=(len(inside), len(inside)))
+        return csr_array(graph + graph.T)
 
 
 def width_of(evidence: float | Float[np.ndarray, " m"]) -> float | Float[np.ndarray, " m"]:

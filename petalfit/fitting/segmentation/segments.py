@@ -8,7 +8,15 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float, Int
 
-from petalfit.fitting.segmentation.linkage import contact_widths, facets, joined, moved, renumbered
+from petalfit.fitting.segmentation.linkage import (
+    contact_widths,
+    count_of,
+    facets,
+    joined,
+    members_of,
+    moved,
+    renumbered,
+)
 from petalfit.fitting.segmentation.lobes import lobes_of
 from petalfit.fitting.segmentation.meeting import meeting_point
 from petalfit.fitting.segmentation.neighbours import COUNT, Neighbours
@@ -52,7 +60,7 @@ class Segments:
     @property
     def count(self) -> int:
         """The number of segments."""
-        return int(self.labels.max(initial=-1)) + 1
+        return count_of(self.labels)
 
 
 def segments_of(
@@ -87,12 +95,11 @@ def segments_of(
     labels, more_or_fewer = _cut_at_lobes(labels, points, pairs, few)
     trimmed = _without_scraps(labels)
     if count is not None:
-        if int(trimmed.max(initial=-1)) + 1 >= count:
+        if count_of(trimmed) >= count:
             labels = trimmed
         return Segments(_of_count(labels, pairs, count, few), noise, (), thickness, {})
     more_or_fewer |= _in_doubt(whole, trimmed, pairs, _PART * len(points))
-    found = int(trimmed.max(initial=-1)) + 1
-    rivals = tuple(sorted(found + k for k in more_or_fewer))
+    rivals = tuple(sorted(count_of(trimmed) + k for k in more_or_fewer))
     return Segments(trimmed, noise, rivals, thickness, _contacts(trimmed, whole, pairs))
 
 
@@ -105,11 +112,9 @@ def _cut_at_lobes(
     """
     rivals: frozenset[int] = frozenset()
     for _ in range(_ROUNDS):
-        inside = [
-            np.flatnonzero(labels == label) for label in range(int(labels.max(initial=-1)) + 1)
-        ]
+        inside = members_of(labels)
         base = meeting_point([points[part] for part in inside]) if len(inside) > 1 else None
-        found = [lobes_of(points[part], part, pairs, base, least) for part in inside]
+        found = [lobes_of(points, part, pairs, base, least) for part in inside]
         rivals = frozenset().union(*(lobes.rivals for lobes in found))
         if all(lobes.count == 1 for lobes in found):
             break
@@ -125,8 +130,7 @@ def _contacts(
     labels: Int[np.ndarray, " n"], whole: Int[np.ndarray, " n"], pairs: Pairs
 ) -> dict[tuple[int, int], float]:
     """The contacts of segments that were never one."""
-    count = int(labels.max(initial=-1)) + 1
-    sheet = [int(np.bincount(whole[labels == label] + 1).argmax()) for label in range(count)]
+    sheet = [int(np.bincount(whole[part] + 1).argmax()) for part in members_of(labels)]
     widths = contact_widths(labels, pairs)
     return {(a, b): width for (a, b), width in widths.items() if sheet[a] != sheet[b]}
 
@@ -142,7 +146,7 @@ def _of_count(
     labels: Int[np.ndarray, " n"], pairs: Pairs, count: int, least: float
 ) -> Int[np.ndarray, " n"]:
     """The labels with a given number of segments: the widest contacts joined, or waists cut."""
-    while (found := int(labels.max(initial=-1)) + 1) > count:
+    while (found := count_of(labels)) > count:
         widths = contact_widths(labels, pairs)
         widest = max(widths, key=lambda pair: widths[pair], default=None)
         if widest is None or widths[widest] == 0.0:
@@ -151,7 +155,7 @@ def _of_count(
             labels = np.where(labels == widest[1], widest[0], labels)
         labels = renumbered(labels)
     while 0 < found < count:
-        inside = [np.flatnonzero(labels == label) for label in range(found)]
+        inside = members_of(labels)
         waists = [narrowest_waist(part, pairs, least) for part in inside]
         narrowest = int(np.argmin([waist.width for waist in waists]))
         if not np.isfinite(waists[narrowest].width):
@@ -170,10 +174,7 @@ def _in_doubt(
     Lobes of one segment have wide contacts, so that contacts are those of the whole segments.
     """
     widest = max(contact_widths(whole, pairs).values(), default=0.0)
-    waists = [
-        narrowest_waist(np.flatnonzero(labels == label), pairs, least).width
-        for label in range(int(labels.max(initial=-1)) + 1)
-    ]
+    waists = [narrowest_waist(part, pairs, least).width for part in members_of(labels)]
     fewer = widest > (1 - _NEARLY) * _CONTACT
     more = min(waists, default=np.inf) < (1 + _NEARLY) * _WAIST
     return frozenset([-1] * fewer + [1] * more)

@@ -6,10 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import coo_array, csr_array, diags_array
+from scipy.sparse import csr_array, diags_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import eigsh
 
+from petalfit.fitting.segmentation.linkage import count_of
 from petalfit.fitting.segmentation.neighbours import COUNT
 from petalfit.fitting.segmentation.pairs import Pairs, width_of
 
@@ -40,7 +41,7 @@ def cut_at_waists(
         least: The number of points below which a part is none.
     """
     labels = labels.copy()
-    count = int(labels.max(initial=-1)) + 1
+    count = count_of(labels)
     waiting = [*range(count)]
     while waiting:
         label = waiting.pop()
@@ -64,18 +65,7 @@ def narrowest_waist(inside: Int[np.ndarray, " m"], pairs: Pairs, least: float) -
         pairs: The pairs of near points.
         least: The number of points that either part has at least.
     """
-    return _waist(_graph(inside, pairs), least)
-
-
-def _graph(inside: Int[np.ndarray, " m"], pairs: Pairs) -> csr_array:
-    """The symmetric graph of the evidence among some points."""
-    place = np.full(int(max(pairs.one.max(), pairs.other.max())) + 1, -1)
-    place[inside] = np.arange(len(inside))
-    a, b = place[pairs.one], place[pairs.other]
-    kept = (a >= 0) & (b >= 0) & (pairs.smooth > 0)
-    cells = (pairs.smooth[kept], (a[kept], b[kept]))
-    graph = coo_array(cells, shape=(len(inside), len(inside)))
-    return csr_array(graph + graph.T)
+    return _waist(pairs.graph(inside, pairs.smooth), least)
 
 
 def _waist(graph: csr_array, least: float) -> Waist:
