@@ -23,6 +23,8 @@ from petalfit.fitting.segmentation.linkage import members_of
 from petalfit.fitting.segmentation.members import Sheet, memberships
 from petalfit.fitting.shared import about_shared, check_shared, shared_spreads, with_common
 from petalfit.fitting.siblings import NEAR, Petal, like_siblings, placed_of
+from petalfit.fitting.solver.observer import collect
+from petalfit.fitting.thickets import without_thickets
 from petalfit.observations import PointCloud, TargetError, as_point_cloud
 from petalfit.observations.mesh_pieces import SEVERAL
 from petalfit.results import FitWarning, Quantity, WarningKind
@@ -100,6 +102,8 @@ def fit_flower(
         )
     if "init" in family_of(model).takes:
         fitted = list(like_siblings(fitted, found.noise, model, options, say))
+    if petals is None:
+        fitted = without_thickets(fitted, seen, labels)
     spreads = shared_spreads([petal.result for petal in fitted], shared)
     common = {name: spread.mean for name, spread in spreads.items()}
     if common:
@@ -110,7 +114,7 @@ def fit_flower(
     sheets = [petal.sheet for petal in fitted]
     members = memberships(cloud.points, sheets, seen, labels, found.noise)
     result = _arranged(cloud, [petal.result for petal in fitted], members, found, petals)
-    warnings = (*_warnings(result), *about_shared(spreads))
+    warnings = (*_warnings(result, found), *about_shared(spreads))
     result = dataclasses.replace(result, shared=common, warnings=warnings)
     failed = [petal for petal in result.petals if not petal.converged]
     if throw and failed:
@@ -141,7 +145,7 @@ def _check_count(cloud: PointCloud, petals: int | None) -> None:
 
 
 def _check_segments(found: Segments, petals: int | None) -> None:
-    on = float(np.mean(found.labels >= 0))
+    on = float(np.mean((found.labels >= 0) | found.table | found.tubes))
     if on < _ON_SHEETS or found.thickness > _THICK:
         raise TargetError(
             "the points do not lie on smooth sheets that their neighbours continue: the cloud "
@@ -193,6 +197,7 @@ def _fitted(
         assert isinstance(result, FitResult)
         petal = Petal.of(segment, some, result)
         sheets.append(petal.sheet)
+        collect(result)
         yield petal
 
 
@@ -249,7 +254,7 @@ def _arranged(
     )
 
 
-def _warnings(result: FlowerResult) -> Iterator[FitWarning]:
+def _warnings(result: FlowerResult, segments: Segments) -> Iterator[FitWarning]:
     for note in result.target.notes:
         if SEVERAL in note:
             continue  # they are the petals
@@ -267,12 +272,20 @@ def _warnings(result: FlowerResult) -> Iterator[FitWarning]:
         )
     none = float(np.mean(result.labels < 0))
     if none > _LEFT_OUT:
-        yield FitWarning(
-            f"{100 * none:.0f} % of the points belong to no petal and are left out.",
-            WarningKind.LEFT_OUT,
-        )
+        text = f"{100 * none:.0f} % of the points belong to no petal and are left out"
+        yield FitWarning(f"{text}{_organs(segments)}.", WarningKind.LEFT_OUT)
     for name, petal in zip(result.names, result.petals, strict=True):
         if not petal.converged:
             yield FitWarning(
                 f"The fit of {name} did not converge: {petal.outcome}.", WarningKind.SYSTEMATIC
             )
+
+
+def _organs(segments: Segments) -> str:
+    """What the points that belong to no petal lie on, as far as that is clear."""
+    kinds = {
+        "on a flat sheet larger than any petal, as a table is": segments.table,
+        "on tubes, as stalks and pistils are": segments.tubes,
+    }
+    parts = [f"{100 * np.mean(on):.0f} % {what}" for what, on in kinds.items() if np.any(on)]
+    return f": {'; '.join(parts)}" if parts else ""

@@ -55,24 +55,29 @@ def _turned(
     return vectors @ np.swapaxes(matrices, 1, 2)[:, None]
 
 
-def resolution(surface: AbstractSurface) -> tuple[int, int]:
-    """The numbers of vertices along u and along v for a surface."""
-    return PETAL if all(surface.edges) else ROUND
+def resolution(surface: AbstractSurface, finer: int = 1) -> tuple[int, int]:
+    """The numbers of vertices along u and along v for a surface, with `finer` times the usual cells."""
+    n_u, n_v = PETAL if all(surface.edges) else ROUND
+    return finer * (n_u - 1) + 1, finer * (n_v - 1) + 1
 
 
-def grow(flower: Flower) -> list[Grown]:
+def grow(flower: Flower, finer: int = 1) -> list[Grown]:
     """Evaluates all surfaces of a flower on grids.
+
+    Args:
+        flower: The flower.
+        finer: How many times as fine the grids are, along both sides, as those of its files.
 
     Raises:
         FlowerError: The grids would not fit into memory.
     """
     with jax.enable_x64(True):
         shapes = [
-            (len(part.outer.translation), *resolution(part.surface))
+            (len(part.outer.translation), *resolution(part.surface, finer))
             for part in jax.eval_shape(_parts, flower)
         ]
         require_memory(float(np.sum(np.prod(shapes, axis=1, dtype=float))))
-        return [_grown(jax.tree.map(np.asarray, part)) for part in _placed(flower)]
+        return [_grown(jax.tree.map(np.asarray, part), finer) for part in _placed(flower)]
 
 
 def require_memory(vertices: float) -> None:
@@ -111,11 +116,9 @@ _placed = Program(_parts)
 _sheet = Program(_sheets)
 
 
-def _grown(part: Part) -> Grown:
-    u, v = (
-        np.linspace(*side, n)
-        for side, n in zip(part.surface.domain, resolution(part.surface), strict=True)
-    )
+def _grown(part: Part, finer: int) -> Grown:
+    shape = resolution(part.surface, finer)
+    u, v = (np.linspace(*side, n) for side, n in zip(part.surface.domain, shape, strict=True))
     k = len(part.outer.translation)
     rows = []
     for first in range(0, k, _AT_ONCE):

@@ -33,17 +33,18 @@ _PETAL = Colour.of(
 )
 
 
-def peony(seed: int = 0) -> Flower:
-    """A peony: 48 petals by the paper's recursion, 90 stamens at random places, five pistils.
+def peony(seed: int = 0, petals: int = 48) -> Flower:
+    """A peony: petals by the paper's recursion, 90 stamens at random places, five pistils.
 
     "The inside petals are bigger and more bender than outside petals" (3.2): width, length and bend grow
     with the rank.
 
     Args:
         seed: The seed of the places of the stamens and of the small differences between organs.
+        petals: The number of petals.
     """
     rng = np.random.default_rng(seed)
-    petals, stamens = recursion(48, growth=0.985), scattered(90, seed)
+    places, stamens = recursion(petals, growth=0.985), scattered(90, seed)
 
     def about(value: float, spread: float) -> float:
         return value * (1 + spread * float(rng.uniform(-1, 1)))
@@ -67,13 +68,13 @@ def peony(seed: int = 0) -> Flower:
                         midrib_height=0.6,
                         tip_curl=about(1.5, 0.4),
                     )
-                    for rank in petals.rank
+                    for rank in places.rank
                 ],
-                petals,
+                places,
                 _PETAL,
-                latitude=-0.3 + 0.3 * petals.rank,
-                opening=np.array([about(1.3 - 0.6 * rank, 0.07) for rank in petals.rank]),
-                roll=rng.uniform(-0.12, 0.12, len(petals)),
+                latitude=-0.3 + 0.3 * places.rank,
+                opening=np.array([about(1.3 - 0.6 * rank, 0.07) for rank in places.rank]),
+                roll=rng.uniform(-0.12, 0.12, len(places)),
             ),
             Series.of(
                 "stamen",

@@ -48,7 +48,7 @@ def frames(surface: AbstractSurface, uv: Float[Numbers, "n 2"]) -> Frame:
         here.conormals @ turn.T,
         here.left * scale,
         here.speed * scale,
-        here.area_element * scale**2,
+        here.area_element * scale * scale,
     )
 
 

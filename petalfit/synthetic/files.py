@@ -11,17 +11,19 @@ import io
 import json
 import tempfile
 import zipfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from petalfit.components import PeonyPetal
+from petalfit.flowers import save_flower
 from petalfit.observations import Camera, PointCloud, Silhouette, read_cameras
 from petalfit.observations.atomic import atomic_path
 from petalfit.synthetic.case import Case, make, make_masks
-from petalfit.synthetic.recipes import RECIPES
+from petalfit.synthetic.flower_case import FlowerCase, Scan, scan
+from petalfit.synthetic.recipes import FLOWERS, RECIPES
 from petalfit.synthetic.sight import Sight
 
 MANIFEST = "manifest.json"
@@ -29,26 +31,42 @@ CASES = "cases"
 TRUTH = "truth.json"
 
 
-def write_cases(folder: Path, recipes: Iterable[Case] = RECIPES) -> list[Path]:
+def write_cases(
+    folder: Path, recipes: Iterable[Case] = RECIPES, flowers: Iterable[FlowerCase] = FLOWERS
+) -> list[Path]:
     """Makes all cases and the manifest.
 
     Args:
-        folder: The folder for `cases/<name>/`, with the files of `write_case`, and `manifest.json`.
-        recipes: The cases to make.
+        folder: The folder for `cases/<name>/`, with the files of `write_case` or `write_flower_case`, and
+            `manifest.json`.
+        recipes: The cases of petals to make.
+        flowers: The cases of flowers to make.
 
     Returns:
         The paths of the written files, the manifest last.
     """
-    written, entries = [], []
-    for case in recipes:
-        place = folder / CASES / case.name
-        place.mkdir(parents=True, exist_ok=True)
-        files = write_case(case, make(case) if case.points else None, place)
-        written += files
+    written: list[Path] = []
+    listed: dict[str, list[dict[str, object]]] = {"cases": [], "flowers": []}
+
+    def note(kind: str, files: list[Path], truth: dict[str, object]) -> None:
         digests = {path.relative_to(folder).as_posix(): _sha256(path) for path in files}
-        entries.append(_truth(case) | {"files": digests})
-    _write_json({"cases": entries}, folder / MANIFEST)
+        listed[kind].append(truth | {"files": digests})
+        written.extend(files)
+
+    for case in recipes:
+        place = _place(folder, case.name)
+        note("cases", write_case(case, make(case) if case.points else None, place), _truth(case))
+    for case in flowers:
+        files = write_flower_case(case, scan(case), _place(folder, case.name))
+        note("flowers", files, dataclasses.asdict(case))
+    _write_json(listed, folder / MANIFEST)
     return [*written, folder / MANIFEST]
+
+
+def _place(folder: Path, name: str) -> Path:
+    place = folder / CASES / name
+    place.mkdir(parents=True, exist_ok=True)
+    return place
 
 
 def write_case(case: Case, cloud: PointCloud | None, folder: Path) -> list[Path]:
@@ -72,19 +90,51 @@ def write_case(case: Case, cloud: PointCloud | None, folder: Path) -> list[Path]
     return files
 
 
-def check_cases(folder: Path, recipes: Iterable[Case] = RECIPES) -> list[str]:
+def write_flower_case(case: FlowerCase, scanned: Scan, folder: Path) -> list[Path]:
+    """Writes one case of a flower into an existing folder, for `read_flower_case`.
+
+    Returns:
+        The paths of `cloud.npz`, of `labels.npy` with the petal of every point (int8, −1 for none), of
+        `flower.json` with all parameters of the flower in its own frame, and of `truth.json`.
+    """
+    cloud, labels, flower, truth = (
+        folder / name for name in ("cloud.npz", "labels.npy", "flower.json", TRUTH)
+    )
+    _write_cloud(scanned.cloud, cloud)
+    with atomic_path(labels) as temporary, temporary.open("wb") as file:
+        np.lib.format.write_array(file, scanned.labels.astype("<i1"), version=(1, 0))
+    save_flower(case.flower(), flower)
+    _write_json(dataclasses.asdict(case), truth)
+    return [cloud, labels, flower, truth]
+
+
+def read_flower_case(folder: Path) -> tuple[FlowerCase, Scan]:
+    """Reads a case of a flower from its folder: the recipe, and the scan."""
+    truth = json.loads((folder / TRUTH).read_text(encoding="utf-8"))
+    truth["views"] = tuple(map(tuple, truth["views"]))
+    truth["turn"] = tuple(truth["turn"])
+    labels = np.load(folder / "labels.npy", allow_pickle=False).astype(int)
+    return FlowerCase(**truth), Scan(PointCloud.load(folder / "cloud.npz"), labels)
+
+
+def check_cases(
+    folder: Path, recipes: Iterable[Case] = RECIPES, flowers: Iterable[FlowerCase] = FLOWERS
+) -> list[str]:
     """Compares the files of a folder with its manifest, and with what the recipes make now.
 
     Args:
         folder: The folder that `write_cases` has written.
-        recipes: The cases that it was made from.
+        recipes: The cases of petals that it was made from.
+        flowers: The cases of flowers that it was made from.
 
     Returns:
         One line for each difference; empty if there is none.
     """
     manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
     listed = {
-        name: digest for entry in manifest["cases"] for name, digest in entry["files"].items()
+        name: digest
+        for entry in [*manifest["cases"], *manifest["flowers"]]
+        for name, digest in entry["files"].items()
     }
     there = {path.relative_to(folder).as_posix() for path in folder.glob(f"{CASES}/*/*")}
     wrong = [f"{name} is missing" for name in sorted(listed.keys() - there)]
@@ -95,7 +145,7 @@ def check_cases(folder: Path, recipes: Iterable[Case] = RECIPES) -> list[str]:
         if _sha256(folder / name) != listed[name]
     ]
     with tempfile.TemporaryDirectory() as temporary:
-        for path in write_cases(Path(temporary), recipes):
+        for path in write_cases(Path(temporary), recipes, flowers):
             name = path.relative_to(temporary)
             if (folder / name).is_file() and (folder / name).read_bytes() != path.read_bytes():
                 wrong.append(f"{name.as_posix()} comes out different when it is made again")
@@ -139,7 +189,7 @@ def _truth(case: Case) -> dict[str, object]:
     return truth
 
 
-def _write_json(content: dict[str, object], path: Path) -> None:
+def _write_json(content: Mapping[str, object], path: Path) -> None:
     with atomic_path(path) as temporary:
         text = json.dumps(content, indent=1) + "\n"
         temporary.write_text(text, encoding="utf-8", newline="\n")

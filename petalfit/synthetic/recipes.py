@@ -6,6 +6,7 @@ import numpy as np
 
 from petalfit.components import PeonyPetal
 from petalfit.synthetic.case import Case
+from petalfit.synthetic.flower_case import FlowerCase
 from petalfit.synthetic.random_petal import random_petal
 from petalfit.synthetic.sight import Sight
 
@@ -95,5 +96,35 @@ RECIPES: tuple[Case, ...] = (
     Case(
         "mask-noisy", "an edge cut out by hand, off by one pixel", _petal(26), 0, 0.0, 26,
         sights=(Sight(_OBLIQUE, _MIDDLE, 4.5, edge=1.0),),
+    ),
+)  # fmt: skip
+
+_ABOVE = 0.7
+# Directions all around: below, beside and above the horizon, and straight from above.
+_ALL_AROUND = (
+    *((1.0, y, 0.0) for y in (-0.5, 0.1, _ABOVE)),
+    *((-0.5, y, z) for y in (-0.5, 0.1, _ABOVE) for z in (-0.87, 0.87)),
+    *((-1.0, y, 0.0) for y in (-0.5, 0.1, _ABOVE)),
+    *((0.5, y, z) for y in (-0.5, 0.1, _ABOVE) for z in (-0.87, 0.87)),
+    (0.0, 1.0, 0.0),
+)
+_THREE = ((1.0, _ABOVE, 0.0), (-0.5, _ABOVE, 0.87), (-0.5, _ABOVE, -0.87))
+
+FLOWERS: tuple[FlowerCase, ...] = (
+    FlowerCase(
+        "flower-lily", "a lily with stamens, pistil and stalk, from all around",
+        "lily", 12_000, 0.06, 0, _ALL_AROUND, turn=(0.4, 1.1, -0.3),
+    ),
+    FlowerCase(
+        "flower-lily-table", "a lily on a table, seen from three sides",
+        "lily", 10_000, 0.06, 1, _THREE, table=True, turn=(-1.2, 0.2, 0.7),
+    ),
+    FlowerCase(
+        "flower-lily-side", "a lily seen from one side: half of it is hidden",
+        "lily", 6000, 0.06, 2, _THREE[:1], turn=(0.9, -0.5, 2.0),
+    ),
+    FlowerCase(
+        "flower-peony", "fifteen petals along a spiral around ninety stamens, from all around",
+        "small peony", 12_000, 0.05, 0, _ALL_AROUND, turn=(0.2, 0.3, -1.1),
     ),
 )  # fmt: skip

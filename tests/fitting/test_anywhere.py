@@ -19,12 +19,17 @@ from benchmarks.targets import (
     seen_somewhere,
     three_quadrants,
 )
+from petalfit.components import Posed
+from petalfit.fitting.coordinates import Coordinates
 from petalfit.fitting.inference.verdict import about_distances
+from petalfit.fitting.likelihood.cloud import ObservedCloud
 from petalfit.fitting.likelihood.mixture import mixture
 from petalfit.fitting.outliers.local_planes import on_sheets
-from petalfit.fitting.solver.alternate import whiten
+from petalfit.fitting.solver.alternate import minimise, whiten
+from petalfit.fitting.solver.iterate import Iterate, best_first
+from petalfit.residuals import Data
 from petalfit.results import Agreement, MisfitMap
-from petalfit.surfaces import sample_uv
+from petalfit.surfaces import in_doubles, sample_uv
 from petalfit.synthetic import random_petal
 
 SIGMA = 0.05
@@ -357,6 +362,28 @@ def test_a_start_that_all_points_leave_is_an_end_like_others():
         assert max(off(result, petal, name) for name in ("a_x", "b_y")) < 3.0
     else:
         assert result.status in ("misfit", "round_limit")
+
+
+def test_a_descent_into_overflow_ends_where_it_stands():
+    """Among stamens a start may be led astray until its numbers have no finite step any more."""
+    points = pf.PeonyPetal().sample(200, seed=0).points
+    with jax.enable_x64(True):
+        huge = Posed(in_doubles(pf.PeonyPetal()), np.eye(3), np.zeros(3), np.float64(1e200))
+        coordinates = Coordinates.of(huge, ("a_x", "b_y", *Posed.similarity))
+        cloud = ObservedCloud(Data.of(points, np.ones(200), None))
+        with np.errstate(all="ignore"):
+            end = minimise(coordinates, [cloud], huge, [None], 5, 0.1)
+    assert end.moved == np.inf
+    assert float(end.model.placement.scale) == pytest.approx(1e200)
+
+
+def test_ends_that_have_broken_are_left_out():
+    def end(chi2: float, a_x: float) -> Iterate:
+        return Iterate(pf.PeonyPetal(a_x=a_x), (), 1, 0.0, chi2=chi2)
+
+    good, worse, lost, broken = end(2.0, 15.0), end(7.0, 16.0), end(np.nan, 15.0), end(1.0, np.nan)
+    assert best_first([lost, worse, broken, good]) == [good, worse]
+    assert best_first([broken]) == [broken]
 
 
 def test_nothing_is_said_of_points_that_all_belong_elsewhere():

@@ -4,18 +4,26 @@ import dataclasses
 import json
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
 
 from petalfit.components import parameters
+from petalfit.flowers import load_flower
 from petalfit.synthetic import (
+    FLOWERS,
     RECIPES,
     Case,
+    FlowerCase,
     check_cases,
     make,
     make_masks,
     random_petal,
     read_case,
+    read_flower_case,
+    scan,
     write_cases,
 )
 from petalfit.synthetic.random_petal import RANGES
@@ -87,18 +95,18 @@ def test_noise_and_strays_are_as_declared() -> None:
 def test_check_finds_what_is_wrong(tmp_path: Path) -> None:
     tiny = dataclasses.replace(RECIPES[0], points=60)
     other = dataclasses.replace(tiny, name="other", suffix=".npz")
-    written = write_cases(tmp_path, [tiny, other])
-    assert check_cases(tmp_path, [tiny, other]) == []
+    written = write_cases(tmp_path, [tiny, other], [])
+    assert check_cases(tmp_path, [tiny, other], []) == []
     cloud = tmp_path / "cases/other/cloud.npz"
     content = cloud.read_bytes()
     cloud.write_bytes(content[:-1] + b"!")
-    assert check_cases(tmp_path, [tiny, other]) == [
+    assert check_cases(tmp_path, [tiny, other], []) == [
         "cases/other/cloud.npz is not what the manifest says",
         "cases/other/cloud.npz comes out different when it is made again",
     ]
     cloud.unlink()
     (tmp_path / "cases/other/more.txt").touch()
-    assert check_cases(tmp_path, [tiny, other]) == [
+    assert check_cases(tmp_path, [tiny, other], []) == [
         "cases/other/cloud.npz is missing",
         "cases/other/more.txt is not in the manifest",
     ]
@@ -121,3 +129,49 @@ def test_random_petals_fill_their_ranges() -> None:
     assert abs(np.mean([float(petal.dx) > 0 for petal in petals]) - 0.5) < 0.1
     again = random_petal(np.random.default_rng(5))
     assert again == petals[0]
+
+
+@pytest.mark.parametrize("recipe", FLOWERS, ids=[case.name for case in FLOWERS])
+def test_flower_reads_back_and_lies_on_its_surfaces(recipe: FlowerCase) -> None:
+    folder = FOLDER / "cases" / recipe.name
+    case, (cloud, labels) = read_flower_case(folder)
+    assert case == recipe
+    assert len(cloud) == len(labels) == recipe.points
+    flower = load_flower(folder / "flower.json")
+    series = next(series for series in flower.series if series.name == "petal")
+    own = cloud.points @ Rotation.from_rotvec(recipe.turn).as_matrix()
+    (part,) = (part for part in flower.parts() if part.series == flower.series.index(series))
+    for number in range(len(series)):
+        surface, inner, outer = jax.tree.map(
+            lambda leaf, number=number: leaf[number], (part.surface, part.inner, part.outer)
+        )
+        fine = np.asarray((outer @ inner)(np.asarray(surface.mesh((193, 97)).vertices)))
+        away, _ = KDTree(fine).query(own[labels == number])
+        # Noise along the normal, and the way to the nearest vertex.
+        assert np.median(away) < 0.35
+        assert away.max() < 1.0
+    # Every petal is seen somewhere, and so are other organs.
+    assert {-1, *range(len(series))} == set(labels.tolist())
+
+
+def test_a_scanner_sees_the_nearest_sheet_only() -> None:
+    one = dataclasses.replace(FLOWERS[0], points=2000, noise=0.0, views=((0.0, 0.0, 1.0),))
+    other = dataclasses.replace(one, views=((0.0, 0.0, 1.0), (0.0, 0.0, -1.0)))
+    turned = Rotation.from_rotvec(one.turn).as_matrix()
+    front = scan(one).cloud.points @ turned
+    both = scan(other).cloud.points @ turned
+    # In a narrow column the points of one view lie at nearly one depth, those of two often at two.
+    depths = []
+    for points in (front, both):
+        near = KDTree(points[:, :2]).query(points[:, :2], 6)[1]
+        depths.append(np.median(np.ptp(points[near, 2], axis=1)))
+    assert depths[0] < 0.35 * depths[1]
+
+
+def test_a_table_lies_below_its_flower() -> None:
+    recipe = next(case for case in FLOWERS if case.table)
+    cloud, labels = scan(dataclasses.replace(recipe, noise=0.0))
+    own = cloud.points @ Rotation.from_rotvec(recipe.turn).as_matrix()
+    level = np.abs(own[:, 1] - own[:, 1].min()) < 1e-3
+    assert np.mean(level) > 0.25
+    assert np.all(labels[level] == -1)

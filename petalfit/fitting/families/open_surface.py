@@ -24,7 +24,7 @@ from petalfit.fitting.outliers.scan import Scan
 from petalfit.fitting.request.checks import POSES
 from petalfit.fitting.request.request import Request, scan_of
 from petalfit.fitting.solver.all_points import with_all_points
-from petalfit.fitting.solver.iterate import Iterate
+from petalfit.fitting.solver.iterate import Iterate, best_first
 from petalfit.fitting.solver.observer import report
 from petalfit.fitting.solver.settle import Settled, Settling, begun, settle
 from petalfit.fitting.starts.frame import NormalisedFrame
@@ -185,7 +185,7 @@ class OpenSurfaceFamily(AbstractFamily):
             least = min((other.chi2 for other in ends), default=np.inf)
             with stage("polishing"):
                 ends.append(_settled(end, scan, heat, least, large))
-        ends.sort(key=lambda end: end.chi2)
+        ends = best_first(ends)
         if found:
             by_label = {start.label: start for start in found}
             labels = self.labels([by_label[end.label] for end in ends])

@@ -18,7 +18,7 @@ from petalfit.fitting.outliers.annealing import clear, term_of
 from petalfit.fitting.outliers.scan import Scan
 from petalfit.fitting.solver.alternate import minimise, whiten
 from petalfit.fitting.solver.debias import without_bias
-from petalfit.fitting.solver.iterate import Iterate
+from petalfit.fitting.solver.iterate import Iterate, best_first
 from petalfit.fitting.solver.observer import report
 from petalfit.residuals import Data
 from petalfit.surfaces import AbstractSurface
@@ -56,7 +56,7 @@ def follow(
         with stage("polishing"):
             end = settle(label, model, None)
             ends += [] if end is None else [end]
-    best, *others = sorted(ends, key=lambda end: end.chi2)
+    best, *others = best_first(ends)
 
     def again(model: AbstractSurface, prior: Prior) -> Iterate:
         end = settle(best.label, model, prior)

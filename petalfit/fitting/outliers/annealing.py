@@ -106,7 +106,7 @@ def clear(
         changed = 1.0 if members is None else float(np.max(np.abs(found.members - members)))
         members = found.members
         settled = end.moved <= _TOLERANCE and changed < _UNCHANGED
-        if settled or rounds >= _ROUNDS:
+        if settled or rounds >= _ROUNDS or np.isinf(end.moved):
             whole = TangentDistance(data=Data.of(points, kept, noise), uv=term.uv, sigma=term.sigma)
             return dataclasses.replace(end, terms=(whole,), rounds=rounds, mixture=found)
 

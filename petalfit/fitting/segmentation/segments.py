@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Mapping
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from petalfit.fitting.segmentation.linkage import (
     contact_widths,
@@ -23,6 +23,8 @@ from petalfit.fitting.segmentation.neighbours import COUNT, Neighbours
 from petalfit.fitting.segmentation.pairs import Pairs
 from petalfit.fitting.segmentation.planes import tangent_planes
 from petalfit.fitting.segmentation.quadrics import Quadrics
+from petalfit.fitting.segmentation.table import table_among
+from petalfit.fitting.segmentation.tubes import on_tubes
 from petalfit.fitting.segmentation.waists import cut_at_waists, narrowest_waist
 
 FEWEST = 20 * COUNT
@@ -35,6 +37,10 @@ _FIRST = 20  # points of the smallest facets that are joined
 _LEAST = 0.008  # smallest share of all points that a segment has
 _PART = 0.03  # smallest share of all points that a part has which is cut off at a waist
 _SCRAP = 0.15  # size of a segment, by that of the median one, below which it is no petal
+# Size and reach from where the petals meet, by those of the median segment, below which a segment is a
+# piece of fused bases. The innermost petals of a rose reach 0.7.
+_PIECE, _SHORT = 0.35, 0.62
+_THIN = 0.5  # size of a piece of a tube, by that of a segment of middle size, at the most
 _ROUNDS = 3
 
 
@@ -49,6 +55,8 @@ class Segments:
         thickness: The noise in median radii of neighbourhoods: 0.3 where points fill space.
         contacts: The widths of the smooth contacts of two segments, by the root of the smaller one's
             number of points; the smaller label comes first. Lobes of one sheet have none.
+        table: Whether each point lies on a table, which is no segment, shape (n,).
+        tubes: Whether each point lies on a tube, such as a stalk, which is no segment, shape (n,).
     """
 
     labels: Int[np.ndarray, " n"]
@@ -56,6 +64,8 @@ class Segments:
     rivals: tuple[int, ...]
     thickness: float
     contacts: Mapping[tuple[int, int], float]
+    table: Bool[np.ndarray, " n"]
+    tubes: Bool[np.ndarray, " n"]
 
     @property
     def count(self) -> int:
@@ -91,16 +101,34 @@ def segments_of(
         labels = cut_at_waists(labels, pairs, _WAIST, _PART * len(points))
     labels = renumbered(moved(labels, pairs, few))
     thickness = noise / float(np.median(near.radius))
-    whole = labels
+    table, tubes = _no_petals(labels, points, noise)
+    labels = whole = renumbered(np.where(table | tubes, -1, labels))
     labels, more_or_fewer = _cut_at_lobes(labels, points, pairs, few)
-    trimmed = _without_scraps(labels)
+    trimmed = _with_bases_shared_out(_without_scraps(labels), points, pairs, few)
     if count is not None:
         if count_of(trimmed) >= count:
             labels = trimmed
-        return Segments(_of_count(labels, pairs, count, few), noise, (), thickness, {})
+        labels = _of_count(labels, pairs, count, few)
+        return Segments(labels, noise, (), thickness, {}, table, tubes)
     more_or_fewer |= _in_doubt(whole, trimmed, pairs, _PART * len(points))
     rivals = tuple(sorted(count_of(trimmed) + k for k in more_or_fewer))
-    return Segments(trimmed, noise, rivals, thickness, _contacts(trimmed, whole, pairs))
+    contacts = _contacts(trimmed, whole, pairs)
+    return Segments(trimmed, noise, rivals, thickness, contacts, table, tubes)
+
+
+def _no_petals(
+    labels: Int[np.ndarray, " n"], points: Float[np.ndarray, "n 3"], noise: float
+) -> tuple[Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+    """Which points lie on a table, and which on tubes."""
+    inside, on_table = members_of(labels), np.zeros(len(labels), bool)
+    table = table_among(points, inside, noise)
+    if table is not None:
+        on_table[inside.pop(table)] = True
+    sizes = np.sort([len(segment) for segment in inside])
+    # Half of the points lie in larger segments, however many small pieces there are.
+    middle = sizes[np.searchsorted(np.cumsum(sizes), 0.5 * sizes.sum())] if inside else 0
+    thin = [segment for segment in inside if len(segment) < _THIN * middle]
+    return on_table, on_tubes(points, thin, noise) & ~on_table
 
 
 def _cut_at_lobes(
@@ -140,6 +168,23 @@ def _without_scraps(labels: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
     sizes = np.bincount(labels[labels >= 0], minlength=1)
     scraps = np.flatnonzero(sizes < _SCRAP * np.median(sizes))
     return renumbered(np.where(np.isin(labels, scraps), -1, labels))
+
+
+def _with_bases_shared_out(
+    labels: Int[np.ndarray, " n"], points: Float[np.ndarray, "n 3"], pairs: Pairs, least: float
+) -> Int[np.ndarray, " n"]:
+    """The labels after pieces of fused bases have been shared out among the petals around them."""
+    inside = members_of(labels)
+    if len(inside) < 2:
+        return labels
+    parts = [points[part] for part in inside]
+    base = meeting_point(parts)
+    reach = np.array([np.linalg.norm(part - base, axis=1).max() for part in parts])
+    sizes = np.array([len(part) for part in parts])
+    small = (sizes < _PIECE * np.median(sizes)) & (reach < _SHORT * np.median(reach))
+    pieces = np.isin(labels, np.flatnonzero(small))
+    rest = np.where(pieces, -1, labels)
+    return renumbered(np.where(pieces, moved(rest, pairs, least), labels))
 
 
 def _of_count(

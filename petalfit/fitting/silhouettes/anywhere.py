@@ -12,7 +12,7 @@ from petalfit.fitting.families.family import AbstractFamily
 from petalfit.fitting.request.request import Request
 from petalfit.fitting.silhouettes.joint import fit_joint
 from petalfit.fitting.silhouettes.view_pose import view_frames
-from petalfit.fitting.solver.iterate import Iterate
+from petalfit.fitting.solver.iterate import Iterate, best_first
 from petalfit.fitting.solver.observer import report
 from petalfit.observations import Contour
 from petalfit.surfaces import AbstractSurface
@@ -45,7 +45,7 @@ def fit_views_anywhere(
             ends.append(dataclasses.replace(end, label=f"direction {k + 1}, {end.label}"))
         if min(end.residuals[0].noise for end in ends) < _RIGHT_PIXELS:
             break
-    return sorted(ends, key=lambda end: end.chi2)
+    return best_first(ends)
 
 
 def in_image(template: AbstractSurface, contour: Contour, placed: Mapping[str, float]) -> Posed:

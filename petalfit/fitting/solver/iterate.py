@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterable
 from typing import Generic
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -72,3 +74,16 @@ class Iterate(Generic[Model]):
             information=share * self.information,
             score_covariance=share * self.score_covariance,
         )
+
+
+def best_first(ends: Iterable[Iterate[Model]]) -> list[Iterate[Model]]:
+    """Ends by their χ², the least first. Those that have broken are left out, unless all have."""
+    ends = [*ends]
+    standing = [end for end in ends if _is_standing(end)]
+    return sorted(standing or ends, key=lambda end: end.chi2)
+
+
+def _is_standing(end: Iterate) -> bool:
+    """Whether χ² and the model of an end are finite; a start that outliers lead astray may lose both."""
+    numbers = [np.asarray(leaf, float) for leaf in jax.tree.leaves(end.model)]
+    return not np.isnan(end.chi2) and all(np.isfinite(number).all() for number in numbers)

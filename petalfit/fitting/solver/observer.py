@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from petalfit.compilation import watched
 from petalfit.residuals import AbstractTerm, TangentDistance, frames
+from petalfit.results import FitRecord
 from petalfit.surfaces import AbstractSurface
 
 
@@ -50,10 +51,12 @@ class Observer:
     Attributes:
         progress: Called with a line of text whenever a stage of the fit begins; or None.
         onlooker: Called with a `Glimpse` after every round; or None.
+        collector: Called with every petal of a flower as soon as it has been fitted; or None.
     """
 
     progress: Callable[[str], None] | None = None
     onlooker: Callable[[Glimpse], None] | None = None
+    collector: Callable[[FitRecord], None] | None = None
 
 
 _current: contextvars.ContextVar[Observer] = contextvars.ContextVar("observer", default=Observer())  # noqa: B039
@@ -91,6 +94,16 @@ def looking_on(onlooker: Callable[[Glimpse], None]) -> Iterator[None]:
 
 
 @contextmanager
+def watching_petals(collector: Callable[[FitRecord], None]) -> Iterator[None]:
+    """Calls a function with each petal of a flower as soon as it has been fitted in the block.
+
+    Later stages may join, replace or drop petals.
+    """
+    with _observed_by(dataclasses.replace(_current.get(), collector=collector)):
+        yield
+
+
+@contextmanager
 def prefixed(prefix: str) -> Iterator[None]:
     """Puts a prefix, such as the name of a family, before every line that is reported in the block."""
     outer = _current.get()
@@ -114,6 +127,13 @@ def show(model: AbstractSurface, terms: Sequence[AbstractTerm]) -> None:
     onlooker = _current.get().onlooker
     if onlooker is not None:
         onlooker(Glimpse.of(model, terms))
+
+
+def collect(petal: FitRecord) -> None:
+    """Passes a petal of a flower to the function that collects them, if there is one."""
+    collector = _current.get().collector
+    if collector is not None:
+        collector(petal)
 
 
 def _say(observer: Observer, text: str) -> None:

@@ -32,7 +32,7 @@ from petalfit.fitting.outliers.scan import Scan
 from petalfit.fitting.request.checks import POSES
 from petalfit.fitting.request.request import Request, scan_of
 from petalfit.fitting.solver.all_points import with_all_points
-from petalfit.fitting.solver.iterate import Iterate
+from petalfit.fitting.solver.iterate import Iterate, best_first
 from petalfit.fitting.solver.observer import report
 from petalfit.fitting.starts.frame import NormalisedFrame
 from petalfit.residuals import Data
@@ -171,7 +171,7 @@ def _from_anywhere(
     ends: list[Iterate] = []
     for k, near in enumerate([best, *rivals[:_RIVALS]]):
         ends += _polished_poses(template, names, scan, near, f"pose {k + 1}")
-    return sorted(ends, key=lambda end: end.chi2)
+    return best_first(ends)
 
 
 def _distinct(found: list[Iterate]) -> list[Iterate]:
@@ -241,8 +241,9 @@ def _ribs_left(coordinates: Coordinates, scan: Scan, end: Iterate) -> bool:
 
 
 def _likelihood(near: Iterate) -> float:
+    """Its log likelihood; −∞ if it has broken."""
     assert near.mixture is not None
-    return near.mixture.log_likelihood
+    return float(np.nan_to_num(near.mixture.log_likelihood, nan=-np.inf))
 
 
 def _members(near: Iterate) -> np.ndarray:
