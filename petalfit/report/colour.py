@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import colorsys
+
 import numpy as np
 from jaxtyping import Float
 
@@ -29,6 +31,12 @@ def shaded(
 ) -> Float[np.ndarray, "*shape 3"]:
     """A matt colour under a light: `lit` is the cosine between normal and light, in [0, 1]."""
     return rgb * (0.46 + 0.54 * lit[..., None]) + 0.10 * lit[..., None] ** 12
+
+
+def of_petal(number: int) -> Float[np.ndarray, "3"]:
+    """The colour of a petal of a flower; those of neighbours are a golden angle of hue apart."""
+    hue, lightness = (137.5 * number) % 360 / 360, 0.45 + 0.1 * (number % 2)
+    return np.array(colorsys.hls_to_rgb(hue, lightness, 0.65))
 
 
 def css(rgb: Float[np.ndarray, "3"]) -> str:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from petalfit.observations.atomic import atomic_path
+from petalfit.report.colour import css, of_petal
 from petalfit.report.rounding import count, plain
 from petalfit.results import FlowerRecord
 from petalfit.version import VERSION
@@ -98,8 +99,8 @@ def _view(result: FlowerRecord, hidden: int) -> str:
 
 
 def _colour(petal: int) -> str:
-    """A colour for each petal; those of neighbours are a golden angle of hue apart."""
-    return "#999" if petal < 0 else f"hsl({(137.5 * petal) % 360:.0f} 65% {45 + 10 * (petal % 2)}%)"
+    """The colour of a petal, grey for none."""
+    return "#999" if petal < 0 else css(of_petal(petal))
 
 
 def _table(result: FlowerRecord) -> str:

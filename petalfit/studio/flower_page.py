@@ -21,6 +21,7 @@ from petalfit.studio.sliders import add_slider
 from petalfit.surfaces import Parameter, grid_faces, value_at
 
 _KINDS: dict[str, Callable[[int], Flower]] = {"lily": lily, "peony": peony}
+_SCANNED = "the scanned one"
 _SINGLE = 60  # the most organs of a series that are listed one by one
 _FINE = 33  # number of vertices along u in the preview of a petal
 _BASE = ("receptacle", "pedicel")
@@ -32,6 +33,7 @@ class FlowerPage:
     def __init__(self, session: Session) -> None:
         self._session = session
         self._flower: Flower | None = None
+        self._scanned: Flower | None = None
         self._controls: list[Any] = []
         self._sliders: dict[str, Any] = {}
         gui, reacting = session.gui, session.reacting
@@ -65,8 +67,24 @@ class FlowerPage:
         else:
             self._draw(look=True)
 
+    def leave(self) -> None:
+        """Nothing goes on that another page would disturb."""
+
+    def take(self, flower: Flower) -> None:
+        """Makes a flower that was found in a scan the current one."""
+        self._session.scenery.clear()
+        self._scanned = self._flower = flower
+        self._kind.options = [*_KINDS, _SCANNED]
+        self._kind.value = _SCANNED
+        self._show(flower)
+
     def _grow(self) -> None:
-        self._flower = flower = _KINDS[self._kind.value](int(self._seed.value))
+        scanned = self._scanned if self._kind.value == _SCANNED else None
+        self._seed.disabled = scanned is not None
+        self._flower = scanned or _KINDS[self._kind.value](int(self._seed.value))
+        self._show(self._flower)
+
+    def _show(self, flower: Flower) -> None:
         names = [series.name for series in flower.series]
         organs = [*names, "receptacle", *(["pedicel"] if flower.pedicel is not None else [])]
         for series in flower.series:

@@ -11,7 +11,15 @@ import numpy as np
 
 from petalfit.components import Posed, models, parameters
 from petalfit.export.mesh import export_glb
-from petalfit.fitting import DEFAULT, FOR_SCANS, FitResult, family_of, fit_petal, tip_of
+from petalfit.fitting import (
+    DEFAULT,
+    FOR_SCANS,
+    FitResult,
+    FlowerResult,
+    family_of,
+    fit_petal,
+    tip_of,
+)
 from petalfit.fitting.solver.observer import Glimpse, looking_on
 from petalfit.observations import AbstractObservation, Camera, Silhouette, TargetError
 from petalfit.report import write_report
@@ -24,7 +32,7 @@ from petalfit.studio.petal_controls import CASES, FITTED, PetalControls
 from petalfit.studio.session import Session
 from petalfit.studio.sliders import add_slider
 from petalfit.studio.uploads import Photo, read_upload
-from petalfit.studio.work import CalledOff, Work
+from petalfit.studio.work import CalledOff, Work, raising
 from petalfit.surfaces import AbstractSurface, Pose, in_doubles, value_at, with_value
 from petalfit.synthetic import make, make_masks
 
@@ -72,6 +80,13 @@ class PetalPage:
         self._session.forget()
         self._at_rest()
 
+    def open(self) -> None:
+        """Shows the petal and its target again."""
+        self._scenery.clear()
+        if self._drawn is not None:
+            self._drawn.look()
+        self.draw(look=True)
+
     # The target.
 
     def open_case(self) -> None:
@@ -93,6 +108,8 @@ class PetalPage:
             self._take(read.agreements[0].target, f"the fit of {file.name}", "known", "linear")
             self._settle(read)
             self._session.begin(lambda _: self._prepare_sliders(read))
+        elif isinstance(read, FlowerResult):
+            raise TargetError(f"{file.name} is a whole flower; open it on the page Flower scan.")
         elif isinstance(read, Photo):
             self._take_photo(read, file.name)
         elif isinstance(read, Silhouette):
@@ -199,7 +216,7 @@ class PetalPage:
         except CalledOff:
             pass
         except Exception as error:
-            outcome = _raising(error)
+            outcome = raising(error)
         with session.turn():
             if not session.wants(work):
                 return
@@ -396,10 +413,3 @@ def _ends(result: FitResult) -> dict[str, Start]:
         for start in result.starts[1:]
         if np.isfinite(start.delta_chi2)
     }
-
-
-def _raising(error: Exception) -> Callable[[], None]:
-    def outcome() -> None:
-        raise error
-
-    return outcome

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import viser
 from jaxtyping import Float, Int
@@ -60,6 +63,27 @@ class Scenery:
             visible=visible,
         )
 
+    def sheet(
+        self,
+        name: str,
+        vertices: Float[np.ndarray, "n 3"],
+        faces: Int[np.ndarray, "m 3"],
+        colour: Float[np.ndarray, "3"],
+        opacity: float | None,
+        visible: bool,
+        clicked: Callable[[Any], None],
+    ) -> None:
+        """Shows a sheet of one colour that reacts to clicks, and replaces an earlier one of its name."""
+        self._scene.add_mesh_simple(
+            f"/{name}",
+            np.asarray(vertices, np.float32),
+            faces,
+            color=tuple(np.rint(255 * colour).astype(int).tolist()),
+            opacity=opacity,
+            side="double",
+            visible=visible,
+        ).on_click(clicked)
+
     def normals(
         self,
         vertices: Float[np.ndarray, "n 3"],
@@ -80,15 +104,19 @@ class Scenery:
         )
 
     def points(
-        self, points: Float[np.ndarray, "n 3"], colours: Float[np.ndarray, "n 3"], visible: bool
+        self,
+        points: Float[np.ndarray, "n 3"],
+        colours: Float[np.ndarray, "n 3"],
+        visible: bool,
+        size: float = 0.006,
     ) -> None:
-        """Replaces the points; colours run from 0 to 1."""
+        """Replaces the points; colours run from 0 to 1, and the size is relative to what is in view."""
         shown = self._points
         if len(points) == 0 or not visible:
             if shown is not None:
                 shown.visible = False
             return
-        places, size = np.asarray(points, np.float32), 0.006 * self._extent
+        places, size = np.asarray(points, np.float32), size * self._extent
         if shown is not None and len(shown.points) == len(places):
             shown.points, shown.point_size, shown.visible = places, size, True
             shown.colors = np.rint(255 * colours).astype(np.uint8)

@@ -10,14 +10,17 @@ from pathlib import Path
 import viser
 
 from petalfit.compilation.cache import folder_in_common
+from petalfit.flowers import Flower
 from petalfit.studio.flower_page import FlowerPage
 from petalfit.studio.guard import own_pages_only
 from petalfit.studio.petal_page import PetalPage
+from petalfit.studio.scan_page import ScanPage
 from petalfit.studio.session import Session
 from petalfit.studio.work import Workshop
 
 HOST = "127.0.0.1"
 PORT = 8090
+_PETAL, _SCAN, _FLOWER = "Petal", "Flower scan", "Flower"
 _BRAND = (176, 66, 108)
 
 
@@ -74,25 +77,35 @@ class Studio:
 
 
 class Pages:
-    """The two pages of a session, of which one is shown, and the controls that both share."""
+    """The pages of a session, of which one is shown, and the controls that all share."""
 
     def __init__(self, session: Session) -> None:
         gui = session.gui
-        choice = gui.add_button_group("Page", ("Petal", "Flower"))
-        self._petal, self._flower = PetalPage(session), FlowerPage(session)
-        self._flower.place.visible = False
+        choice = gui.add_button_group("Page", (_PETAL, _SCAN, _FLOWER))
+        self._flower = FlowerPage(session)
+        petal, found = PetalPage(session), ScanPage(session, self._grow)
+        self._pages = {_PETAL: petal, _SCAN: found, _FLOWER: self._flower}
+        self._shown = _PETAL
+        for name, page in self._pages.items():
+            page.place.visible = name == _PETAL
         dark = gui.add_checkbox("dark", False)
         choice.on_click(session.reacting(lambda event: self._open(event.target.value)))
         dark.on_update(session.reacting(lambda _: _dress(gui, dark.value)))
-        session.reacting(lambda _: self._petal.open_case())(None)
+        session.reacting(lambda _: petal.open_case())(None)
 
-    def _open(self, page: str) -> None:
-        flower = page == "Flower"
-        if self._flower.place.visible == flower:
+    def _open(self, name: str) -> None:
+        if self._shown == name:
             return
-        self._petal.place.visible, self._flower.place.visible = not flower, flower
-        if flower:
-            self._petal.leave()
-            self._flower.open()
-        else:
-            self._petal.draw(look=True)
+        self._turn_to(name)
+        self._pages[name].open()
+
+    def _grow(self, flower: Flower) -> None:
+        """Takes a flower that was found in a scan to the page on which it grows."""
+        self._turn_to(_FLOWER)
+        self._flower.take(flower)
+
+    def _turn_to(self, name: str) -> None:
+        self._pages[self._shown].leave()
+        self._shown = name
+        for each, page in self._pages.items():
+            page.place.visible = each == name

@@ -14,7 +14,7 @@ import viser
 from jaxtyping import Float, UInt8
 from viser import _messages
 
-from petalfit.fitting import FitResult
+from petalfit.fitting import FitResult, FlowerResult
 from petalfit.observations import (
     IMAGE_SUFFIXES,
     Camera,
@@ -25,7 +25,8 @@ from petalfit.observations import (
 )
 from petalfit.observations.images import opened_image
 from petalfit.observations.photo import read_photo, segment
-from petalfit.observations.readers import SUFFIXES
+from petalfit.observations.readers import DEFAULT_SAMPLES, SUFFIXES
+from petalfit.results.flower_record import FORMAT as FLOWER_FORMAT
 
 LARGEST = 100_000_000  # bytes of an upload, both as sent and unpacked
 _LARGEST_IMAGE = 40_000_000  # pixels
@@ -66,15 +67,16 @@ class Photo:
         return cls(colours, Silhouette(mask))
 
 
-Read = PointCloud | Silhouette | Photo | Camera | FitResult
+Read = PointCloud | Silhouette | Photo | Camera | FitResult | FlowerResult
 
 
-def read_upload(name: str, content: bytes) -> Read:
+def read_upload(name: str, content: bytes, samples: int = DEFAULT_SAMPLES) -> Read:
     """Reads an uploaded file of any supported kind.
 
     Args:
         name: The name of the file in the browser; only its suffix is used.
         content: The complete content of the file.
+        samples: The number of points that are drawn from a mesh.
 
     Raises:
         TargetError: The page cannot use the file; the message begins with the name.
@@ -100,7 +102,7 @@ def read_upload(name: str, content: bytes) -> Read:
         path = Path(folder) / f"upload{suffix}"
         path.write_bytes(content)
         try:
-            return _read(path)
+            return _read(path, samples)
         except TargetError as error:
             text = str(error).removeprefix(f"{path}: ").replace(str(path), shown)
             text = text if text.startswith(shown) else f"{shown}: {text}"
@@ -115,21 +117,23 @@ def too_large(name: str, size: int) -> str:
     )
 
 
-def _read(path: Path) -> Read:
+def _read(path: Path, samples: int) -> Read:
     if path.suffix == ".json":
         return _read_json(path)
     if path.suffix in IMAGE_SUFFIXES:
         return _read_image(path)
     if path.suffix == ".npz":
         _check_unpacked(path)
-    return PointCloud.load(path)
+    return PointCloud.load(path, n=samples)
 
 
-def _read_json(path: Path) -> FitResult | Camera:
+def _read_json(path: Path) -> FitResult | FlowerResult | Camera:
     try:
         content = json.loads(path.read_bytes())
     except (ValueError, RecursionError) as error:
         raise TargetError(f"it is no JSON ({error}).") from None
+    if isinstance(content, dict) and content.get("format") == FLOWER_FORMAT:
+        return FlowerResult.load(path)
     if isinstance(content, dict) and "format" in content:
         return FitResult.load(path)
     camera = read_cameras(path)

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from petalfit.fitting import FitResult
+from petalfit.fitting import FitResult, FlowerResult
 from petalfit.report.colour import NEGATIVE, POSITIVE, ZERO, css
-from petalfit.report.rounding import measured, plain
+from petalfit.report.rounding import count, measured, plain
 
 _SOFT = "opacity:0.72;font-size:0.86em"
 _CELL = "padding:0.1em 0.35em;vertical-align:top"
@@ -52,6 +52,18 @@ def verdict(result: FitResult) -> str:
     if rest:
         more = f'<details style="{_SOFT}"><summary>{len(rest)} more</summary>{more}</details>'
     return _block("<br>".join(lines) + more)
+
+
+def flower(result: FlowerResult) -> str:
+    """What was found in a scan of a flower: the number of petals, their layout, and warnings."""
+    mark = "✓" if result.converged else "✗"
+    on = 100 * float(np.mean(result.labels >= 0))
+    lines = [
+        f"<strong>{mark} {count(result.count, 'petal')}, {html.escape(result.layout.described)}</strong>",
+        f'<span style="{_SOFT}">{on:.1f} % of the points on petals</span>',
+    ]
+    lines += [_doubt(str(warning)) for warning in result.warnings]
+    return _block("<br>".join(lines))
 
 
 def _doubt(sentence: str) -> str:

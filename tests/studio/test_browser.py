@@ -12,6 +12,7 @@ from playwright.sync_api import Page, expect
 
 import petalfit as pf
 from tests.browser import A_WHILE, Watched
+from tests.fitting.test_flower import corolla
 
 PETAL = pf.PeonyPetal(a_x=14.0, b_y=22.0, c=0.6, dx=0.4, dy=3.0)
 
@@ -167,3 +168,64 @@ def test_a_flower_grows_and_is_taken_home(opened, tmp_path):
     download.value.save_as(tmp_path / "flower.glb")
     scene = trimesh.load(tmp_path / "flower.glb")
     assert {"petal_1", "petal_6"} <= set(scene.graph.nodes_geometry)
+
+
+def test_petals_of_a_scanned_flower_are_found_shown_and_grown(opened, tmp_path):
+    points, _ = corolla(3)
+    np.save(tmp_path / "scan.npy", points)
+    opened.get_by_role("button", name="Flower scan", exact=True).click()
+    expect(opened.get_by_text("every petal is found and fitted")).to_be_visible()
+    upload(opened, tmp_path / "scan.npy")
+    complaint(opened, "scan.npy, 1,500 points")
+    opened.get_by_role("button", name="Find the petals").click()
+    expect(opened.get_by_text("✓ 3 petals, whorls of 3")).to_be_visible()
+    choose(opened, "Show", "petal_2")
+    assert 0.1 < value(opened, "width") < 1.5
+    files = {}
+    for name in ("flower.json", "petals.csv"):
+        with opened.expect_download() as download:
+            opened.get_by_role("button", name=name).click()
+        files[name] = tmp_path / name
+        download.value.save_as(files[name])
+    result = pf.FlowerResult.load(files["flower.json"])
+    assert result.count == 3
+    assert result.table() == files["petals.csv"].read_text("utf-8")
+    # The file opens the flower again, on this page and on no other.
+    upload(opened, files["flower.json"])
+    complaint(opened, "the flower of flower.json")
+    opened.get_by_role("button", name="Grow it").click()
+    expect(opened.get_by_text("3 petals", exact=True)).to_be_visible()
+    choose(opened, "Flower", "lily")
+    expect(opened.get_by_text("6 petals, 6 stamens, 1 pistil")).to_be_visible()
+    choose(opened, "Flower", "the scanned one")
+    expect(opened.get_by_text("3 petals", exact=True)).to_be_visible()
+    opened.get_by_role("button", name="Petal", exact=True).click()
+    upload(opened, files["flower.json"])
+    complaint(opened, "flower.json is a whole flower; open it on the page Flower scan")
+
+
+def test_the_search_for_petals_is_cancelled_and_begun_again(opened, tmp_path):
+    opened.get_by_role("button", name="Flower scan", exact=True).click()
+    (tmp_path / "mask.png").write_bytes(disc_png())
+    upload(opened, tmp_path / "mask.png")
+    complaint(opened, "open it on the page Petal")
+    np.save(tmp_path / "scan.npy", corolla(3)[0])
+    upload(opened, tmp_path / "scan.npy")
+    complaint(opened, "scan.npy, 1,500 points")
+    opened.get_by_role("button", name="Find the petals").click()
+    opened.get_by_role("button", name="Cancel").click()
+    expect(opened.get_by_text("cancelled", exact=True)).to_be_visible()
+    opened.get_by_label("Petals", exact=True).fill("3")
+    opened.get_by_role("button", name="Find the petals").click()
+    expect(opened.get_by_text("✓ 3 petals, whorls of 3")).to_be_visible()
+
+
+def disc_png() -> bytes:
+    import io
+
+    from PIL import Image
+
+    file = io.BytesIO()
+    disc = np.hypot(*np.mgrid[-50:50, -50:50]) < 30
+    Image.fromarray(np.where(disc, 255, 0).astype(np.uint8)).save(file, format="PNG")
+    return file.getvalue()
