@@ -1,7 +1,8 @@
-"""Makes the pictures of docs/gallery.md, one for each figure of the paper: `make gallery`."""
+"""Makes the pictures of docs/gallery.md: figures of the paper, and flowers from scans: `make gallery`."""
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,7 +14,9 @@ from matplotlib.figure import Figure
 
 import petalfit as pf
 from petalfit.flowers import STAMENS
+from petalfit.report.colour import IGNORED, of_petal
 from petalfit.report.portrait import Sheet, flower_sheets, portrait
+from petalfit.synthetic import FLOWERS, scan
 
 sys.path.append(str(Path(__file__).parents[1] / "notebooks"))
 import pictures  # what notebooks draw with
@@ -261,6 +264,32 @@ def figure_9() -> None:
     save(figure, "figure_9")
 
 
+def scanned_flowers() -> None:
+    """Scans of flowers, the petals that were found in them, grown again, and opened by 20° more."""
+    figure = Figure(figsize=(9.6, 6.6))
+    cases = [case for case in FLOWERS if case.name in ("flower-lily-table", "flower-peony")]
+    for row, case in enumerate(cases):
+        cloud = scan(case).cloud
+        found = pf.fit_flower(cloud, model=pf.PeonyPetal, throw=False)
+        seen = found.axis.into(cloud.points)
+        colours = np.array([IGNORED, *map(of_petal, range(found.count))])[found.labels + 1]
+        axes = [figure.add_subplot(len(cases), 4, 4 * row + k + 1) for k in range(4)]
+        pictures.dots(axes[0], seen, c=GREY, s=1.5)
+        pictures.dots(axes[1], seen, c=colours, s=1.5)
+        again = found.flower()
+        series = again.series[0]
+        opening = np.asarray(series.attachment.opening) + np.radians(20)
+        wider = dataclasses.replace(series.attachment, opening=opening)
+        opened = dataclasses.replace(again, series=(dataclasses.replace(series, attachment=wider),))
+        for place, flower in zip(axes[2:], (again, opened), strict=True):
+            pictures.picture(place, flower_sheets(flower), 480)
+        titles = ("the scan", f"{found.count} petals", "grown again", "opened by 20°")
+        for place, title in zip(axes, titles, strict=True):
+            place.set_title(title, color=GREY, fontsize=10)
+    figure.tight_layout(pad=0.6)
+    save(figure, "scanned_flowers")
+
+
 if __name__ == "__main__":
     for make in (
         figure_1,
@@ -272,5 +301,6 @@ if __name__ == "__main__":
         figure_7,
         figure_8,
         figure_9,
+        scanned_flowers,
     ):
         make()

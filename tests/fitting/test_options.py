@@ -53,7 +53,7 @@ def test_an_earlier_result_of_another_cloud_is_no_traceback(model):
 def test_an_earlier_result_at_the_end_of_a_range_is_a_start():
     cloud = pf.BladePetal().sample(300, seed=1, noise=0.02).points
     earlier = pf.fit(pf.BladePetal, cloud, pose="rigid")
-    ended = dataclasses.replace(earlier.model, widest=0.92, base_width=0.0)
+    ended = dataclasses.replace(earlier.model, widest=0.92, base_width=-1e-17)
     found = pf.fit(
         pf.BladePetal, cloud, pose="rigid", init=dataclasses.replace(earlier, model=ended)
     )

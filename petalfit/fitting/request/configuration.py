@@ -15,15 +15,18 @@ from petalfit.surfaces import AbstractSurface, value_at, with_value
 
 Fittable: TypeAlias = AbstractSurface | AbstractPattern
 Component = TypeVar("Component", bound=AbstractSurface)
-_INSIDE = 1e-3  # how far inside, in lengths of the range
+_INSIDE = 1e-3  # how far inside, in lengths of the typical range
 
 
 def inside_ranges(model: Component) -> Component:
-    """A model whose parameters lie inside their ranges, at whose ends a fit may have left them."""
+    """A model whose parameters lie inside their ranges; a fit may have left them at the ends.
+
+    There they may even lie outside by a rounding error.
+    """
     for name, parameter in parameters(model).items():
         low, high = parameter.bounds
-        value, step = float(value_at(model, name)), _INSIDE * (high - low)
-        if value in parameter.bounds:
+        value, step = float(value_at(model, name)), _INSIDE * float(np.ptp(parameter.typical))
+        if not low < value < high:
             model = with_value(model, name, np.clip(value, low + step, high - step))
     return model
 
