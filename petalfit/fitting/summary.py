@@ -105,7 +105,9 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
     if seen is not None and request.is_one_cloud and best.moved <= verdict.SETTLED:
         pattern = verdict.systematic_rms(agreements[0], bare(best.model))
         misfits.append(
-            verdict.misfit_of_outline(agreements[0], seen, pattern, not family.named_errors)
+            verdict.misfit_of_outline(
+                agreements[0], seen, pattern, not family.named_errors, in_space
+            )
         )
     if any(misfits):
         # The errors belong to a petal that is not there.

@@ -9,8 +9,10 @@ import pytest
 
 import petalfit as pf
 from petalfit.fitting.inference.coverage import Coverage, Rim
+from petalfit.fitting.inference.verdict import misfit_of_outline
 from petalfit.fitting.outliers.local_planes import on_sheets
 from petalfit.fitting.run import run
+from petalfit.results import Agreement
 from tests.fitting.conftest import noisy_cloud
 
 # The module, which the function of the same name hides in its package.
@@ -135,6 +137,39 @@ def test_a_plus_is_no_blade(loss):
         flat_points(plus), model=pf.BladePetal, pose="similarity", loss=loss, throw=False
     )
     assert result.status == "misfit"
+
+
+@pytest.mark.parametrize(
+    ("outline", "crossed", "said"),
+    [
+        (0.48, 0.02, ""),  # half of a petal
+        (0.15, 0.15, ""),  # a whole one that the model follows badly
+        (0.53, 0.04, "another shape"),  # an L
+        (0.25, 0.22, "beyond 22 % of it"),  # a square
+    ],
+)
+def test_an_outline_that_is_not_the_petals(outline, crossed, said):
+    part = Agreement(pf.PointCloud(flat_points(plus)), np.zeros(1500), np.ones(1500), 0.05)
+    seen = Coverage(
+        area=0.0, outline=outline, scattered=0.0, crossed=crossed, hole=0.0, loose=0.0, folded=0.0
+    )
+    reason = misfit_of_outline(part, seen, 0.0, is_free=False, in_space=True)
+    assert said in reason
+    assert bool(said) == bool(reason)
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        lambda radius, angle: (radius < 1) & (np.abs(angle) > 0.7),
+        lambda radius, angle: radius * np.minimum(np.cos(angle), np.sin(angle)) < -0.4,
+    ],
+    ids=["disc without a wedge", "L"],
+)
+def test_what_robust_fits_leave_out_does_not_make_a_petal_of(shape):
+    points = flat_points(lambda radius, angle: shape(radius, angle) & (radius < 1.2))
+    result = pf.fit_petal(points, pose="rigid", loss="robust", throw=False)
+    assert not result.converged
 
 
 @pytest.mark.parametrize("model", [pf.BladePetal, pf.SplinePetal])

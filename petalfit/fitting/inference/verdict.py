@@ -30,6 +30,9 @@ _MISFIT_OF_OUTLINES = 0.01  # the same for contours of masks
 # other signs too; if it happens in several places; and in any case.
 _BARE, _SCATTERED, _MOSTLY_BARE = 0.15, 0.08, 0.65
 _WIDELY_BARE = 0.25  # the same if distances have a pattern, as they have on every real petal
+# The first in a fitted pose, where an L may seem to be half of a petal; half of a true one has 0.48.
+_BARE_ANYWHERE = 0.52
+_ELSEWHERE = 0.18  # the same if points go on beyond a tenth of the outline elsewhere
 # Parts of the outline where points go on beyond it, from which it has another shape if many points lie
 # beyond the whole surface too; and in any case.
 _CROSSED, _MOSTLY_CROSSED = 0.1, 0.3
@@ -112,7 +115,9 @@ def misfit_of(
     )
 
 
-def misfit_of_outline(part: Agreement, seen: Coverage, systematic: float, is_free: bool) -> str:
+def misfit_of_outline(
+    part: Agreement, seen: Coverage, systematic: float, is_free: bool, in_space: bool
+) -> str:
     """The reason why the surface has another outline than a cloud; "" if it may have the same.
 
     A part of a petal may be hidden or cut off. Then the outline has no points along one stretch, and
@@ -123,6 +128,7 @@ def misfit_of_outline(part: Agreement, seen: Coverage, systematic: float, is_fre
         seen: The parts of the surface that have no points near them.
         systematic: Root mean square of the systematic part of the distances.
         is_free: Whether the surface can follow any sheet.
+        in_space: Whether the pose was fitted.
     """
     size = part.target.size
     bare = f"{100 * seen.outline:.0f} % of its outline has no points near it"
@@ -142,7 +148,7 @@ def misfit_of_outline(part: Agreement, seen: Coverage, systematic: float, is_fre
             f"no petal of this model fits: {100 * seen.loose:.0f} % of its outline runs beside the "
             "points; theirs has bays that it cannot follow"
         )
-    if seen.outline > _MOSTLY_BARE:
+    if seen.outline > (_BARE_ANYWHERE if in_space else _MOSTLY_BARE):
         return f"{empty}; the points have another shape"
     if seen.scattered > _SCATTERED:
         return f"{empty}, in several places; the points have another outline"
@@ -152,6 +158,11 @@ def misfit_of_outline(part: Agreement, seen: Coverage, systematic: float, is_fre
         return (
             f"no petal of this model fits: the points go on beyond {100 * seen.crossed:.0f} % of its "
             "outline; they have another outline, or none"
+        )
+    if seen.outline > _ELSEWHERE and seen.crossed > _CROSSED:
+        return (
+            f"{empty}, and the points go on beyond {100 * seen.crossed:.0f} % of it; they have another "
+            "outline"
         )
     if seen.outline > _BARE and beyond > _SOME_BEYOND:
         return f"{empty}, while {100 * beyond:.1f} % of the points lie beyond it"
