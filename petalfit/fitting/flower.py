@@ -20,9 +20,9 @@ from petalfit.fitting.request.configuration import configuration
 from petalfit.fitting.result import FitResult
 from petalfit.fitting.segmentation import FEWEST, Segments, meeting_point, segments_of
 from petalfit.fitting.segmentation.linkage import members_of
-from petalfit.fitting.segmentation.members import Sheet, memberships
+from petalfit.fitting.segmentation.members import NEAR, Sheet, memberships
 from petalfit.fitting.shared import about_shared, check_shared, shared_spreads, with_common
-from petalfit.fitting.siblings import NEAR, Petal, like_siblings, placed_of
+from petalfit.fitting.siblings import Petal, like_siblings, placed_of
 from petalfit.fitting.solver.observer import collect
 from petalfit.fitting.thickets import without_thickets
 from petalfit.observations import PointCloud, TargetError, as_point_cloud

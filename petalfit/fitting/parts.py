@@ -1,4 +1,4 @@
-"""Parts of one petal that were told apart at creases or holes: they are joined if one petal fits."""
+"""Parts of one petal, told apart at creases, holes or shadows: they are joined if one petal fits."""
 
 from __future__ import annotations
 
@@ -7,16 +7,24 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.spatial import KDTree
 
 from petalfit.fitting.fit import fit
+from petalfit.fitting.segmentation.linkage import members_of
+from petalfit.fitting.segmentation.segments import middle_size
 from petalfit.fitting.siblings import Petal
 from petalfit.observations import TargetError
 from petalfit.surfaces import AbstractSurface
 
 # The least width of the contact of two parts, by the root of the smaller one's number of points.
 _TOUCHING = 0.08
+# A smaller part than this, by the middle size, may have been cut off by the shadow of another organ, from
+# one of the parts next to it; and how far these are away, by the extent of the larger of the two.
+_SMALL, _NEXT, _GAP = 0.5, 2, 0.2
+_SOME = 0.1  # part of its points that are as near to the other as the gap
 # How much less of the points the petal of both may explain than those of each, and how much larger its
 # root mean square distance may be. Of two petals that touch, one petal explains half as much as two.
+# Across a gap this holds for the points of each part.
 _LESS, _ROUGHER = 0.12, 1.7
 
 
@@ -32,9 +40,10 @@ def joined_parts(
     rng: np.random.Generator,
     say: Callable[[str], None],
 ) -> tuple[list[Petal], Int[np.ndarray, " n"]]:
-    """The petals and the labels after parts of the same petal have been joined, widest contacts first.
+    """The petals and the labels after parts of the same petal have been joined.
 
-    No petal becomes larger than the largest segment.
+    Parts with wide contacts come first, then small ones with those next to them. No petal becomes larger
+    than the largest segment.
 
     Args:
         fitted: The petals of all segments.
@@ -50,10 +59,11 @@ def joined_parts(
     """
     petals = {petal.segment: petal for petal in fitted}
     largest = np.bincount(labels[labels >= 0], minlength=1).max()
-    waiting = {pair: width for pair, width in contacts.items() if width > _TOUCHING}
+    waiting = {pair: -gap for pair, gap in _gaps(points, labels).items()}
+    waiting |= {pair: width for pair, width in contacts.items() if width > _TOUCHING}
     while waiting:
         pair = max(waiting, key=lambda pair: waiting[pair])
-        del waiting[pair]
+        width = waiting.pop(pair)
         both = np.flatnonzero(np.isin(labels, pair))
         if len(both) > largest or not petals.keys() >= set(pair):
             continue
@@ -63,7 +73,8 @@ def joined_parts(
             petal = Petal.of(pair[0], some, fit(model, some, **options))
         except TargetError:
             continue
-        if not _fits(petal, [petals[part] for part in pair], noise):
+        own = [petals[part] for part in pair]
+        if not _fits(petal, own, noise) or (width < 0 and not _fits_each(petal, own, noise)):
             continue
         into, gone = pair
         labels = np.where(labels == gone, into, labels)
@@ -71,11 +82,33 @@ def joined_parts(
         del petals[gone]
         for one, other in [*waiting]:
             if gone in (one, other):
-                width = waiting.pop((one, other))
+                beside = waiting.pop((one, other))
                 third = other if one == gone else one
                 moved = (min(into, third), max(into, third))
-                waiting[moved] = max(width, waiting.get(moved, 0.0))
+                waiting[moved] = max(beside, waiting.get(moved, -np.inf))
     return [*petals.values()], labels
+
+
+def _gaps(
+    points: Float[np.ndarray, "n 3"], labels: Int[np.ndarray, " n"]
+) -> dict[tuple[int, int], float]:
+    """The gaps between small segments and those next to them, the smaller label first."""
+    inside = members_of(labels)
+    parts = [points[part] for part in inside]
+    small = _SMALL * middle_size(np.array([len(part) for part in parts]))
+    found = {}
+    for number, part in enumerate(parts):
+        if len(part) >= small:
+            continue
+        gaps = [
+            np.quantile(KDTree(other).query(part)[0], _SOME) if k != number else np.inf
+            for k, other in enumerate(parts)
+        ]
+        for other in np.argsort(gaps)[:_NEXT].tolist():
+            extent = max(np.linalg.norm(np.ptp(parts[k], axis=0)) for k in (number, other))
+            if gaps[other] < _GAP * extent:
+                found[min(number, other), max(number, other)] = float(gaps[other])
+    return found
 
 
 def _fits(petal: Petal, parts: Sequence[Petal], noise: float) -> bool:
@@ -83,3 +116,10 @@ def _fits(petal: Petal, parts: Sequence[Petal], noise: float) -> bool:
     enough = min(part.explained(noise) for part in parts) - _LESS
     rough = max(part.result.rms for part in parts) * _ROUGHER
     return petal.explained(noise) > enough and petal.result.rms < rough
+
+
+def _fits_each(petal: Petal, parts: Sequence[Petal], noise: float) -> bool:
+    """Whether a petal follows each of its parts about as well as its own petal does."""
+    return all(
+        petal.sheet.explained(part.points, noise) > part.explained(noise) - _LESS for part in parts
+    )

@@ -19,7 +19,6 @@ from petalfit.surfaces import AbstractSurface
 _ALIKE = 1.5  # factor in area or squared scale from the median petal, up to which a petal is alike
 _MOST_ALIKE = 0.6  # the share of petals that are alike, below which petals of the flower are not
 _SIBLINGS = 3  # siblings that are tried as starts, and the fewest that there are
-NEAR = 4.0  # a point this near to a surface lies on it, in standard deviations of the noise
 _AS_GOOD = 0.01  # share of the points that a fit like that of a sibling may explain less
 
 
@@ -48,7 +47,7 @@ class Petal(NamedTuple):
 
     def explained(self, noise: float) -> float:
         """The share of the points that lie on the surface."""
-        return float(np.mean(self.sheet.distance(self.points) < NEAR * noise))
+        return self.sheet.explained(self.points, noise)
 
 
 def like_siblings(

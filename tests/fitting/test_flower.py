@@ -349,6 +349,27 @@ def test_parts_of_one_petal_are_joined_and_parts_of_two_are_not() -> None:
     assert all(petal.explained(NOISE) > 0.95 for petal in joined)
 
 
+def test_what_a_shadow_cuts_off_is_joined_and_a_neighbour_is_not() -> None:
+    points, truth = corolla(3)
+    away = np.hypot(points[:, 0], points[:, 2])
+    # The shadow of a stamen lies across one petal; what is left of its tip is small.
+    first, last = np.quantile(away[truth == 0], [0.6, 0.7])
+    lit = (truth > 0) | (away < first) | (away > last)
+    points, truth, away = points[lit], truth[lit], away[lit]
+    labels = np.where((truth == 0) & (away > last), 3, truth)
+    options = {"pose": "similarity", "loss": "robust", "throw": False}
+    fitted = [
+        Petal.of(k, points[labels == k], pf.fit(pf.BladePetal, points[labels == k], **options))
+        for k in range(4)
+    ]
+    joined, found = joined_parts(
+        fitted, points, labels, {}, NOISE, 500, pf.BladePetal, options,
+        np.random.default_rng(0), lambda _: None,
+    )  # fmt: skip
+    assert sorted(petal.segment for petal in joined) == [0, 1, 2]
+    assert np.array_equal(found, truth)
+
+
 def test_a_petal_in_a_wrong_pose_is_fitted_again_as_its_siblings_are() -> None:
     points, labels = corolla(4)
     options = {"pose": "similarity", "loss": "robust", "throw": False}

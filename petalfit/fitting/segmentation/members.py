@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 _NEIGHBOURS = 12
 _DOUBT = 0.02  # how often a point belongs to a sheet that none of its neighbours was found on
+NEAR = 4.0  # a point this near to a sheet lies on it, in standard deviations of the noise
 _ITERATIONS = 15
 _FEWEST = 1e-3  # least share of clutter
 
@@ -45,6 +46,10 @@ class Sheet(NamedTuple):
         aside = np.sqrt(np.maximum(np.sum(way**2, axis=1) - off**2, 0))
         cell = np.sqrt(self.area / len(self.vertices))
         return np.hypot(off, np.maximum(aside - cell, 0))
+
+    def explained(self, points: Float[np.ndarray, "n 3"], noise: float) -> float:
+        """The share of points that lie on the sheet, within four standard deviations of the noise."""
+        return float(np.mean(self.distance(points) < NEAR * noise))
 
 
 def memberships(

@@ -36,11 +36,12 @@ _NEARLY = 0.25  # relative difference from these widths at which another number 
 _FIRST = 20  # points of the smallest facets that are joined
 _LEAST = 0.008  # smallest share of all points that a segment has
 _PART = 0.03  # smallest share of all points that a part has which is cut off at a waist
-_SCRAP = 0.15  # size of a segment, by that of the median one, below which it is no petal
+# Size of a segment, by that of the median one and by the middle size, below which it is no petal.
+_SCRAP, _CRUMB = 0.15, 0.1
 # Size and reach from where the petals meet, by those of the median segment, below which a segment is a
 # piece of fused bases. The innermost petals of a rose reach 0.7.
 _PIECE, _SHORT = 0.35, 0.62
-_THIN = 0.5  # size of a piece of a tube, by that of a segment of middle size, at the most
+_THIN = 0.5  # size of a piece of a tube, by the middle size, at the most
 _ROUNDS = 3
 
 
@@ -124,9 +125,7 @@ def _no_petals(
     table = table_among(points, inside, noise)
     if table is not None:
         on_table[inside.pop(table)] = True
-    sizes = np.sort([len(segment) for segment in inside])
-    # Half of the points lie in larger segments, however many small pieces there are.
-    middle = sizes[np.searchsorted(np.cumsum(sizes), 0.5 * sizes.sum())] if inside else 0
+    middle = middle_size(np.array([len(segment) for segment in inside]))
     thin = [segment for segment in inside if len(segment) < _THIN * middle]
     return on_table, on_tubes(points, thin, noise) & ~on_table
 
@@ -163,10 +162,19 @@ def _contacts(
     return {(a, b): width for (a, b), width in widths.items() if sheet[a] != sheet[b]}
 
 
+def middle_size(sizes: Int[np.ndarray, " k"]) -> int:
+    """The size of which half of all points lie in larger segments, however many small ones there are."""
+    if not len(sizes):
+        return 0
+    sizes = np.sort(sizes)
+    return int(sizes[np.searchsorted(np.cumsum(sizes), 0.5 * sizes.sum())])
+
+
 def _without_scraps(labels: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
     """The labels without segments that are far smaller than the others, which are no petals."""
     sizes = np.bincount(labels[labels >= 0], minlength=1)
-    scraps = np.flatnonzero(sizes < _SCRAP * np.median(sizes))
+    least = max(_SCRAP * np.median(sizes), _CRUMB * middle_size(sizes))
+    scraps = np.flatnonzero(sizes < least)
     return renumbered(np.where(np.isin(labels, scraps), -1, labels))
 
 
