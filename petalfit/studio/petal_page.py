@@ -210,6 +210,7 @@ class PetalPage:
         result: FitResult | None = None
         outcome: Callable[[], None] = self._called_off
         try:
+            work.check()
             with session.compiled(), looking_on(look):
                 result = found = fit_petal(target, throw=False, progress=tell, **options)
             outcome = lambda: self._settle(found)  # noqa: E731
@@ -239,9 +240,10 @@ class PetalPage:
 
     def _cancel(self) -> None:
         """Cancels the fit at once, without waiting for the turn of another reaction."""
-        self._session.call_off()
         self._at_rest()
+        # The end of the fit, which may come at once, has the last word.
         self._controls.state.content = words.soft("cancelling; a step that has begun ends first")
+        self._session.call_off()
 
     def _called_off(self) -> None:
         self._controls.state.content = words.soft("cancelled; the petal is where it stood")

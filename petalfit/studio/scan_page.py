@@ -195,6 +195,7 @@ class ScanPage:
 
         outcome: Callable[[], None] = self._called_off
         try:
+            work.check()
             with session.compiled(), watching_petals(look):
                 result = fit_flower(cloud, throw=False, progress=tell, **options)
             outcome = lambda: self._settle(result)  # noqa: E731
@@ -214,9 +215,10 @@ class ScanPage:
 
     def _cancel(self) -> None:
         """Cancels the fit at once, without waiting for the turn of another reaction."""
-        self._session.call_off()
         self._at_rest()
+        # The end of the fit, which may come at once, has the last word.
         self._state.content = words.soft("cancelling; a step that has begun ends first")
+        self._session.call_off()
 
     def _called_off(self) -> None:
         self._state.content = words.soft("cancelled")

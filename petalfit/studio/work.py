@@ -23,12 +23,11 @@ class Workshop:
         self._room = threading.Semaphore(os.cpu_count() or 1)
 
     def begin(self, work: Work, do: Callable[[Work], None]) -> None:
-        """Runs `do(work)` in a thread as soon as a core is free."""
+        """Runs `do(work)` in a thread as soon as a core is free; it checks whether it was cancelled."""
 
         def run() -> None:
             with contextlib.suppress(CalledOff), self._room:
                 try:
-                    work.check()
                     do(work)
                 finally:
                     work.call_off()
@@ -48,7 +47,7 @@ class Work:
         return not self._off.is_set()
 
     def call_off(self) -> None:
-        """Cancels the work: it ends at its next check, or never begins."""
+        """Cancels the work: it ends at its next check."""
         self._off.set()
 
     def check(self) -> None:

@@ -170,11 +170,16 @@ def test_a_flower_grows_and_is_taken_home(opened, tmp_path):
     assert {"petal_1", "petal_6"} <= set(scene.graph.nodes_geometry)
 
 
+def turn_to_scans(page: Page) -> None:
+    page.get_by_role("button", name="Flower scan", exact=True).click()
+    expect(page.get_by_role("button", name="Open a scan")).to_be_visible()
+    expect(page.get_by_role("button", name="Open a file")).to_be_hidden()
+
+
 def test_petals_of_a_scanned_flower_are_found_shown_and_grown(opened, tmp_path):
     points, _ = corolla(3)
     np.save(tmp_path / "scan.npy", points)
-    opened.get_by_role("button", name="Flower scan", exact=True).click()
-    expect(opened.get_by_text("every petal is found and fitted")).to_be_visible()
+    turn_to_scans(opened)
     upload(opened, tmp_path / "scan.npy")
     complaint(opened, "scan.npy, 1,500 points")
     opened.get_by_role("button", name="Find the petals").click()
@@ -200,12 +205,13 @@ def test_petals_of_a_scanned_flower_are_found_shown_and_grown(opened, tmp_path):
     choose(opened, "Flower", "the scanned one")
     expect(opened.get_by_text("3 petals", exact=True)).to_be_visible()
     opened.get_by_role("button", name="Petal", exact=True).click()
+    expect(opened.get_by_role("button", name="Open a file")).to_be_visible()
     upload(opened, files["flower.json"])
     complaint(opened, "flower.json is a whole flower; open it on the page Flower scan")
 
 
 def test_the_search_for_petals_is_cancelled_and_begun_again(opened, tmp_path):
-    opened.get_by_role("button", name="Flower scan", exact=True).click()
+    turn_to_scans(opened)
     (tmp_path / "mask.png").write_bytes(disc_png())
     upload(opened, tmp_path / "mask.png")
     complaint(opened, "open it on the page Petal")
