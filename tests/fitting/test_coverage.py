@@ -158,20 +158,6 @@ def test_an_outline_that_is_not_the_petals(outline, crossed, said):
     assert bool(said) == bool(reason)
 
 
-@pytest.mark.parametrize(
-    "shape",
-    [
-        lambda radius, angle: (radius < 1) & (np.abs(angle) > 0.7),
-        lambda radius, angle: radius * np.minimum(np.cos(angle), np.sin(angle)) < -0.4,
-    ],
-    ids=["disc without a wedge", "L"],
-)
-def test_what_robust_fits_leave_out_does_not_make_a_petal_of(shape):
-    points = flat_points(lambda radius, angle: shape(radius, angle) & (radius < 1.2))
-    result = pf.fit_petal(points, pose="rigid", loss="robust", throw=False)
-    assert not result.converged
-
-
 @pytest.mark.parametrize("model", [pf.BladePetal, pf.SplinePetal])
 def test_a_ring_is_no_petal(model):
     ring = flat_points(lambda radius, angle: (radius < 1) & (radius > 0.75))
