@@ -31,7 +31,7 @@ from petalfit.results import FitWarning, Quantity, WarningKind
 from petalfit.surfaces import AbstractSurface, Pose
 
 MOST_PETALS = 60
-_SEEN = 12_000  # points that segments are found among
+SEEN = 12_000  # points that segments are found among
 _FITTED = 600  # points that a petal is fitted to
 _SMALL = 0.3  # of the median segment; a smaller one may be a part of others
 _EXPLAINED = 0.7  # the part of its points that then lies on them
@@ -86,7 +86,7 @@ def fit_flower(
     _check_count(cloud, petals)
     say("telling the sheets apart")
     rng = np.random.default_rng(seed)
-    seen = cloud.points[rng.permutation(len(cloud))[:_SEEN]]
+    seen = cloud.points[rng.permutation(len(cloud))[:SEEN]]
     found = segments_of(seen, petals, seed)
     _check_segments(found, petals)
     options = {"pose": "similarity", "loss": loss, "seed": seed, "throw": False}
@@ -125,9 +125,9 @@ def fit_flower(
 def _scan(target: object, seed: int) -> PointCloud:
     """The cloud of a target; meshes are sampled densely enough to tell their sheets apart."""
     if isinstance(target, str | os.PathLike):
-        return PointCloud.load(target, n=_SEEN, seed=seed)
+        return PointCloud.load(target, n=SEEN, seed=seed)
     if hasattr(target, "faces") and hasattr(target, "vertices"):
-        return PointCloud.from_mesh(target, _SEEN, seed)  # pyright: ignore[reportArgumentType]
+        return PointCloud.from_mesh(target, SEEN, seed)  # pyright: ignore[reportArgumentType]
     return as_point_cloud(target)
 
 

@@ -96,13 +96,13 @@ def _gaps(
     inside = members_of(labels)
     parts = [points[part] for part in inside]
     small = _SMALL * middle_size(np.array([len(part) for part in parts]))
-    found = {}
+    trees, found = [KDTree(part) for part in parts], {}
     for number, part in enumerate(parts):
         if len(part) >= small:
             continue
         gaps = [
-            np.quantile(KDTree(other).query(part)[0], _SOME) if k != number else np.inf
-            for k, other in enumerate(parts)
+            np.quantile(tree.query(part)[0], _SOME) if k != number else np.inf
+            for k, tree in enumerate(trees)
         ]
         for other in np.argsort(gaps)[:_NEXT].tolist():
             extent = max(np.linalg.norm(np.ptp(parts[k], axis=0)) for k in (number, other))

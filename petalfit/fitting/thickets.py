@@ -11,9 +11,8 @@ from petalfit.fitting.segmentation.neighbours import Neighbours
 from petalfit.fitting.siblings import Petal
 from petalfit.results import Status
 
-_FRAYED = (
-    0.1  # part of the neighbours that lie in no segment, from which a segment is one of a thicket
-)
+# Part of the neighbours that lie in no segment, from which a segment is one of a thicket.
+_FRAYED = 0.1
 
 
 def without_thickets(
@@ -29,12 +28,12 @@ def without_thickets(
         seen: The points among which the segments were found.
         labels: The segment of each of these points, −1 for none.
     """
+    misfits = [petal for petal in fitted if petal.result.status is Status.MISFIT]
+    if not misfits:
+        return list(fitted)
     theirs = labels[Neighbours.of(seen).others]
-
-    def grows_in_thicket(petal: Petal) -> bool:
-        if petal.result.status is not Status.MISFIT:
-            return False
-        return bool(np.mean(theirs[labels == petal.segment] < 0) > _FRAYED)
-
-    kept = [petal for petal in fitted if not grows_in_thicket(petal)]
+    frayed = {
+        petal.segment for petal in misfits if np.mean(theirs[labels == petal.segment] < 0) > _FRAYED
+    }
+    kept = [petal for petal in fitted if petal.segment not in frayed]
     return kept or list(fitted)

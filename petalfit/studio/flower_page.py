@@ -73,18 +73,16 @@ class FlowerPage:
     def take(self, flower: Flower) -> None:
         """Makes a flower that was found in a scan the current one."""
         self._session.scenery.clear()
-        self._scanned = self._flower = flower
+        self._scanned = flower
         self._kind.options = [*_KINDS, _SCANNED]
-        self._kind.value = _SCANNED
-        self._show(flower)
+        if self._kind.value == _SCANNED:
+            self._grow()
+        self._kind.value = _SCANNED  # a change of it grows the flower
 
     def _grow(self) -> None:
         scanned = self._scanned if self._kind.value == _SCANNED else None
         self._seed.disabled = scanned is not None
-        self._flower = scanned or _KINDS[self._kind.value](int(self._seed.value))
-        self._show(self._flower)
-
-    def _show(self, flower: Flower) -> None:
+        self._flower = flower = scanned or _KINDS[self._kind.value](int(self._seed.value))
         names = [series.name for series in flower.series]
         organs = [*names, "receptacle", *(["pedicel"] if flower.pedicel is not None else [])]
         for series in flower.series:

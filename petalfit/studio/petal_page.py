@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -32,7 +31,7 @@ from petalfit.studio.petal_controls import CASES, FITTED, PetalControls
 from petalfit.studio.session import Session
 from petalfit.studio.sliders import add_slider
 from petalfit.studio.uploads import Photo, read_upload
-from petalfit.studio.work import CalledOff, Work, raising
+from petalfit.studio.work import Work
 from petalfit.surfaces import AbstractSurface, Pose, in_doubles, value_at, with_value
 from petalfit.synthetic import make, make_masks
 
@@ -207,24 +206,19 @@ class PetalPage:
                 drawn[0] = time.monotonic()
                 shown[0] += 1
 
-        result: FitResult | None = None
-        outcome: Callable[[], None] = self._called_off
-        try:
-            work.check()
-            with session.compiled(), looking_on(look):
-                result = found = fit_petal(target, throw=False, progress=tell, **options)
-            outcome = lambda: self._settle(found)  # noqa: E731
-        except CalledOff:
-            pass
-        except Exception as error:
-            outcome = raising(error)
+        def fit() -> FitResult:
+            with looking_on(look):
+                return fit_petal(target, throw=False, progress=tell, **options)
+
+        outcome = session.outcome_of(work, fit, self._settle, self._called_off)
         with session.turn():
             if not session.wants(work):
                 return
             self._at_rest()
             self._controls.state.content = words.progress("", self._costs) if self._costs else ""
             outcome()
-        if result is None or self._result is not result:
+        result = self._result
+        if result is None or not session.wants(work):
             return
         if shown[0] < _FEW:
             self._replay(work)

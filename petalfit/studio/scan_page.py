@@ -11,14 +11,8 @@ import viser
 from jaxtyping import Float, Int
 
 from petalfit.components import models
-from petalfit.fitting import (
-    FOR_SCANS,
-    LOSSES,
-    FlowerResult,
-    family_of,
-    fit_flower,
-)
-from petalfit.fitting.flower import MOST_PETALS
+from petalfit.fitting import FOR_SCANS, LOSSES, FlowerResult, family_of, fit_flower
+from petalfit.fitting.flower import MOST_PETALS, SEEN
 from petalfit.fitting.solver.observer import watching_petals
 from petalfit.flowers import Flower
 from petalfit.observations import PointCloud, TargetError
@@ -27,10 +21,9 @@ from petalfit.results import FitRecord
 from petalfit.studio import words
 from petalfit.studio.session import Session
 from petalfit.studio.uploads import read_upload
-from petalfit.studio.work import CalledOff, Work, raising
+from petalfit.studio.work import Work
 from petalfit.synthetic import FLOWERS, scan
 
-_SAMPLES = 12_000  # points that are drawn from a mesh
 _IN_VIEW = 20_000  # the most points drawn
 _RESOLUTION = (65, 65)  # that of the fit itself, whose program is compiled already
 _ALL = "all petals"
@@ -135,7 +128,7 @@ class ScanPage:
 
     def _uploaded(self, event: Any) -> None:
         file = event.target.value
-        read = read_upload(file.name, file.content, _SAMPLES)
+        read = read_upload(file.name, file.content, SEEN)
         if isinstance(read, FlowerResult):
             self._take(read.target, f"the flower of {file.name}")
             self._settle(read)
@@ -193,16 +186,11 @@ class ScanPage:
                 self._draw_petal(self._seen, self._vertices(petal), lambda _: None)
                 self._seen += 1
 
-        outcome: Callable[[], None] = self._called_off
-        try:
-            work.check()
-            with session.compiled(), watching_petals(look):
-                result = fit_flower(cloud, throw=False, progress=tell, **options)
-            outcome = lambda: self._settle(result)  # noqa: E731
-        except CalledOff:
-            pass
-        except Exception as error:
-            outcome = raising(error)
+        def fit() -> FlowerResult:
+            with watching_petals(look):
+                return fit_flower(cloud, throw=False, progress=tell, **options)
+
+        outcome = session.outcome_of(work, fit, self._settle, self._called_off)
         with session.turn():
             if not session.wants(work):
                 return

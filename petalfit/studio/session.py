@@ -8,7 +8,7 @@ import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import viser
 
@@ -20,6 +20,7 @@ from petalfit.studio.uploads import bound_uploads
 from petalfit.studio.values import check_values
 from petalfit.studio.work import CalledOff, Work, Workshop
 
+Result = TypeVar("Result")
 log = logging.getLogger("petalfit.studio")
 
 
@@ -136,7 +137,40 @@ class Session:
 
         return reacted
 
+    def outcome_of(
+        self,
+        work: Work,
+        fit: Callable[[], Result],
+        settle: Callable[[Result], None],
+        called_off: Callable[[], None],
+    ) -> Callable[[], None]:
+        """Runs a fit with compiled programs, and returns what the page has to do at its end.
+
+        Args:
+            work: The work that the fit belongs to.
+            fit: The fit.
+            settle: What the page does with its result.
+            called_off: What the page does if the work was cancelled. An error is raised when it is its
+                turn, so that the page shows it.
+        """
+        try:
+            work.check()
+            with self.compiled():
+                result = fit()
+        except CalledOff:
+            return called_off
+        except Exception as error:
+            return _raising(error)
+        return lambda: settle(result)
+
     def begin(self, do: Callable[[Work], None]) -> None:
         """Starts a fit in the background, as the only one that the page reports."""
         self._work = Work()
         self._workshop.begin(self._work, do)
+
+
+def _raising(error: Exception) -> Callable[[], None]:
+    def outcome() -> None:
+        raise error
+
+    return outcome

@@ -58,12 +58,3 @@ class Work:
         """
         if self._off.is_set():
             raise CalledOff
-
-
-def raising(error: Exception) -> Callable[[], None]:
-    """A function that raises an error of the work later, where it can be shown."""
-
-    def outcome() -> None:
-        raise error
-
-    return outcome

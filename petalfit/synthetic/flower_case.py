@@ -20,9 +20,8 @@ KINDS: dict[str, Callable[[int], Flower]] = {
     "small peony": lambda seed: peony(seed, petals=15),
 }
 _DENSE = 30  # points that hide others, by those that are kept
-_STEEP = (
-    0.25  # cosine of the angle between a surface and the view below which a scanner sees nothing
-)
+# Cosine of the angle between a surface's normal and the view below which a scanner sees nothing.
+_STEEP = 0.25
 _FINE = 1.5  # side of a pixel of a view, in mean distances of the points that hide others
 _FINER = 3  # the grids of surfaces, by those of a flower's files
 _TABLE = 0.7  # side of the table, by the larger breadth of the flower

@@ -105,25 +105,6 @@ def moved(labels: Int[np.ndarray, " n"], pairs: Pairs, least: float) -> Int[np.n
     return labels
 
 
-def contacts(labels: Int[np.ndarray, " n"], pairs: Pairs) -> dict[tuple[int, int], np.ndarray]:
-    """The evidence for and against one smooth sheet across the contact of any two clusters.
-
-    The smaller label comes first.
-    """
-    a, b = labels[pairs.one], labels[pairs.other]
-    across = (a >= 0) & (b >= 0) & (a != b)
-    count = count_of(labels)
-    keys = np.minimum(a, b)[across] * count + np.maximum(a, b)[across]
-    unique, where = np.unique(keys, return_inverse=True)
-    evidence = pairs.smooth[across]
-    sums = [
-        np.bincount(where, part, minlength=len(unique))
-        for part in (np.maximum(evidence, 0), np.maximum(-evidence, 0))
-    ]
-    found = zip(unique.tolist(), np.stack(sums, axis=-1), strict=True)
-    return {(key // count, key % count): both for key, both in found}
-
-
 def joined(labels: Int[np.ndarray, " n"], pairs: Pairs, width: float) -> Int[np.ndarray, " n"]:
     """The labels after clusters with wide contacts have been joined, the widest first.
 

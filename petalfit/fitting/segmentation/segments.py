@@ -182,15 +182,16 @@ def _with_bases_shared_out(
     labels: Int[np.ndarray, " n"], points: Float[np.ndarray, "n 3"], pairs: Pairs, least: float
 ) -> Int[np.ndarray, " n"]:
     """The labels after pieces of fused bases have been shared out among the petals around them."""
-    inside = members_of(labels)
-    if len(inside) < 2:
+    parts = [points[part] for part in members_of(labels)]
+    if len(parts) < 2:
         return labels
-    parts = [points[part] for part in inside]
+    sizes = np.array([len(part) for part in parts])
+    small = sizes < _PIECE * np.median(sizes)
+    if not small.any():
+        return labels
     base = meeting_point(parts)
     reach = np.array([np.linalg.norm(part - base, axis=1).max() for part in parts])
-    sizes = np.array([len(part) for part in parts])
-    small = (sizes < _PIECE * np.median(sizes)) & (reach < _SHORT * np.median(reach))
-    pieces = np.isin(labels, np.flatnonzero(small))
+    pieces = np.isin(labels, np.flatnonzero(small & (reach < _SHORT * np.median(reach))))
     rest = np.where(pieces, -1, labels)
     return renumbered(np.where(pieces, moved(rest, pairs, least), labels))
 

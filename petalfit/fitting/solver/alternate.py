@@ -68,12 +68,12 @@ def minimise(
             # If matches jump to and fro, ever shorter steps converge to the mean of the states.
             step = step / (rounds - _WHOLE_STEPS + 2)
         whitening = state.shrunk * whitening
+        rounds += state.rounds
         if not np.isfinite(step).all():
             # Nothing but overflow lies ahead: the descent ends where it stands, and has not settled.
-            return Iterate(model, tuple(terms), max(rounds, 1), np.inf, t)
+            return Iterate(model, tuple(terms), rounds, np.inf, t)
         moved = float(np.max(np.abs(np.linalg.solve(whitening, step))))
         t = t + step
-        rounds += state.rounds
         model = coordinates.model(t)
         show(model, terms)
         if not moved > tolerance or rounds >= max_rounds:
