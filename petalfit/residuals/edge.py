@@ -36,6 +36,7 @@ def _namespace(x: Numbers) -> tuple[Any, Any]:
 
 
 _REACH = 6.0  # in σ; points farther inside than this do not feel the edge
+_FAR = 1e3  # in σ; farther outside, e²/2 and log Φ(−e) would cancel each other out
 
 
 def edge_residual(beyond: Float[Numbers, "..."]) -> Float[Numbers, "..."]:
@@ -49,10 +50,11 @@ def edge_residual(beyond: Float[Numbers, "..."]) -> Float[Numbers, "..."]:
 def edge_score(beyond: Float[Numbers, "..."]) -> Float[Numbers, "..."]:
     """The derivative of −log Φ(−e) by e, for e in units of σ."""
     xp, special = _namespace(beyond)
-    seen = beyond > -_REACH
-    e = xp.where(seen, beyond, 0.0)
+    seen, far = beyond > -_REACH, beyond > _FAR
+    e = xp.where(seen & ~far, beyond, 0.0)
     slope = xp.exp(-0.5 * e**2 - special.log_ndtr(-e)) / np.sqrt(2 * np.pi)
-    return xp.where(seen, slope, 0.0)
+    remote = xp.where(far, beyond, 1.0)
+    return xp.where(far, remote + 1 / remote, xp.where(seen, slope, 0.0))
 
 
 _CELLS = 8  # cells per side, in which the density of points along the edge is counted

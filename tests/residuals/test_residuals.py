@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
+from scipy.special import erfcx
 from scipy.stats import norm
 
 from petalfit.components import PeonyPetal
@@ -72,6 +73,11 @@ def test_edge_residual_and_its_slope():
     h = 1e-6
     slope = -(norm.logsf(e + h) - norm.logsf(e - h)) / (2 * h)
     np.testing.assert_allclose(edge_score(e), slope, rtol=1e-5, atol=1e-9)
+    # Far outside, φ/Φ(−e) = √(2/π) / erfcx(e/√2); a wrong start has points 10¹⁰ σ beyond an edge.
+    remote = np.geomspace(10.0, 1e12, 100)
+    exact = np.sqrt(2 / np.pi) / erfcx(remote / np.sqrt(2))
+    np.testing.assert_allclose(edge_score(remote), exact, rtol=1e-9)
+    np.testing.assert_allclose(edge_residual(remote), remote, rtol=0.04)
     for function in (edge_residual, edge_score):
         assert np.isfinite(jax.vmap(jax.grad(function))(jnp.linspace(-50.0, 50.0, 1001))).all()
 

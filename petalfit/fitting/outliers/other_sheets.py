@@ -1,7 +1,7 @@
 """Sheets beside the one to fit: a table under a petal, and its stalk.
 
 They are as dense and as smooth as the petal, so that no single point shows what it belongs to. They are
-told from it as whole segments.
+told from it as whole sheets.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from scipy.spatial import Delaunay, KDTree
 
 from petalfit.fitting.likelihood.scales import spacing
 from petalfit.fitting.outliers.local_planes import nearest_plane, on_sheets
-from petalfit.fitting.segmentation import FEWEST, Segments, segments_of
+from petalfit.fitting.segmentation import FEWEST, Sheets, sheets_of
 
-_MOST = 6000  # points that segments are found among; of more, each goes with the nearest of these
+_MOST = 6000  # points that sheets are found among; of more, each goes with the nearest of these
 _FLAT = 2.0  # root mean square height of a plane, in standard deviations of the noise
 # Least number of a table's points, by that of all others. Flat parts of a petal have fewer.
 _TABLE = 0.4
@@ -24,7 +24,7 @@ _TABLE = 0.4
 # it: of a smaller one so many points must lie over the table.
 _LEFT, _BESIDE, _OVER = 0.05, 0.35, 0.6
 _WITHIN = 5.0  # standard deviations from the plane of a table, up to which a point belongs to it
-# Least share of the largest segment, which is the petal, in what is no table; and the largest size of a
+# Least share of the largest sheet, which is the petal, in what is no table; and the largest size of a
 # stalk by that of the petal.
 _MAIN, _PART = 0.7, 0.5
 _NEAR = 2.0  # spacings, up to which points belong together
@@ -65,14 +65,14 @@ def _others(points: Float[np.ndarray, "n 3"], thin: bool) -> Bool[np.ndarray, " 
     if np.count_nonzero(likely) < FEWEST:
         return found
     seen = points[likely]
-    segments = segments_of(seen)
-    if not segments.count:
+    sheets = sheets_of(seen)
+    if not sheets.count:
         return found
     tree = KDTree(seen)
     near = _NEAR * spacing(tree)
-    sheet = segments.labels
-    tables = np.append(_are_tables(seen, segments), False)[sheet]  # −1 finds the last entry
-    sizes = np.bincount(sheet[~tables & (sheet >= 0)], minlength=segments.count)
+    sheet = sheets.labels
+    tables = np.append(_are_tables(seen, sheets), False)[sheet]  # −1 finds the last entry
+    sizes = np.bincount(sheet[~tables & (sheet >= 0)], minlength=sheets.count)
     small = ~tables & (np.append(sizes, 0)[sheet] <= _PART * np.max(sizes))
     gaps, nearest = map(np.asarray, tree.query(points))
     for table in np.unique(sheet[tables]):
@@ -80,7 +80,7 @@ def _others(points: Float[np.ndarray, "n 3"], thin: bool) -> Bool[np.ndarray, " 
         within = np.abs((points - middle) @ normal) < _WITHIN * height
         found |= (gaps < near) & (sheet[nearest] == table) & within
     petal = seen[sheet == np.argmax(sizes)]
-    # A petal of many segments, between its creases and ribs, cannot be told from its stalk.
+    # A petal of many sheets, between its creases and ribs, cannot be told from its stalk.
     if len(petal) > _MAIN * np.count_nonzero(~tables):
         rest = np.concatenate(
             [np.flatnonzero(likely)[small], np.flatnonzero(~likely & ~found & thin)]
@@ -92,16 +92,16 @@ def _others(points: Float[np.ndarray, "n 3"], thin: bool) -> Bool[np.ndarray, " 
     return found
 
 
-def _are_tables(points: Float[np.ndarray, "n 3"], segments: Segments) -> Bool[np.ndarray, " k"]:
-    """Whether each segment is a table: a plane with many points, that leaves enough for a petal."""
-    inside = [points[segments.labels == label] for label in range(segments.count)]
+def _are_tables(points: Float[np.ndarray, "n 3"], sheets: Sheets) -> Bool[np.ndarray, " k"]:
+    """Whether each sheet is a table: a plane with many points, that leaves enough for a petal."""
+    inside = [points[sheets.labels == label] for label in range(sheets.count)]
     sizes = np.array([len(part) for part in inside], int)
-    flat = np.array([_plane(part)[2] < _FLAT * segments.noise for part in inside], bool)
+    flat = np.array([_plane(part)[2] < _FLAT * sheets.noise for part in inside], bool)
     tables = flat & (sizes > _TABLE * (sizes.sum() - sizes))
-    left = points[~np.append(tables, True)[segments.labels]]
+    left = points[~np.append(tables, True)[sheets.labels]]
     share = len(left) / len(points)
     if share < _LEFT:
-        return np.zeros(segments.count, bool)
+        return np.zeros(sheets.count, bool)
     for k in np.flatnonzero(tables):
         tables[k] = share > _BESIDE or _share_over(inside[k], left) > _OVER
     return tables

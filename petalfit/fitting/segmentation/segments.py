@@ -1,4 +1,4 @@
-"""The segments of a cloud: the points of each sheet, found without a model of the sheets."""
+"""The segments of a cloud: the sheets that may be petals, found without a model of a petal."""
 
 from __future__ import annotations
 
@@ -11,31 +11,19 @@ from jaxtyping import Bool, Float, Int
 from petalfit.fitting.segmentation.linkage import (
     contact_widths,
     count_of,
-    facets,
-    joined,
     members_of,
     moved,
     renumbered,
 )
 from petalfit.fitting.segmentation.lobes import lobes_of
 from petalfit.fitting.segmentation.meeting import meeting_point
-from petalfit.fitting.segmentation.neighbours import COUNT, Neighbours
 from petalfit.fitting.segmentation.pairs import Pairs
-from petalfit.fitting.segmentation.planes import tangent_planes
-from petalfit.fitting.segmentation.quadrics import Quadrics
+from petalfit.fitting.segmentation.sheets import CONTACT, PART, WAIST, sheets_of
 from petalfit.fitting.segmentation.table import table_among
 from petalfit.fitting.segmentation.tubes import on_tubes
-from petalfit.fitting.segmentation.waists import cut_at_waists, narrowest_waist
+from petalfit.fitting.segmentation.waists import narrowest_waist
 
-FEWEST = 20 * COUNT
-_GUESS = 0.3  # noise to begin with, in median distances to the nearest neighbour
-_EXACT = 0.1  # least noise, in the same; sheets without any are not followed more closely
-_CONTACT = 0.38  # a contact of this relative width is one within a sheet
-_WAIST = 0.33  # a waist below this relative width is one between two sheets
 _NEARLY = 0.25  # relative difference from these widths at which another number of sheets is a rival
-_FIRST = 20  # points of the smallest facets that are joined
-_LEAST = 0.008  # smallest share of all points that a segment has
-_PART = 0.03  # smallest share of all points that a part has which is cut off at a waist
 # Size of a segment, by that of the median one and by the middle size, below which it is no petal.
 _SCRAP, _CRUMB = 0.15, 0.1
 # Size and reach from where the petals meet, by those of the median segment, below which a segment is a
@@ -79,42 +67,29 @@ def segments_of(
 ) -> Segments:
     """Finds the segments of a cloud of several sheets, which may wrap and touch each other.
 
-    Near points are compared by their tangent planes and by quadrics through their neighbours. Facets grow
-    from the pairs that agree; they end at creases, at edges and where sheets touch. Facets with a wide
-    smooth contact are then joined to segments, and segments are cut where they have a narrow waist.
+    Sheets are the first guess; see `sheets_of`. A table and tubes are no segments, petals that are fused
+    at their bases are cut from each other, and scraps are left out.
 
     Args:
         points: Shape (n, 3), at least `FEWEST`.
         count: The number of segments, if it is known.
         seed: The seed of random choices; the result hardly depends on it.
     """
-    near = Neighbours.of(points)
-    planes = tangent_planes(near, noise := _GUESS * float(np.median(near.distance[:, 0])), seed)
-    for _ in range(2):
-        noise = max(
-            Quadrics.of(near, planes, noise).noise(), _EXACT * float(np.median(near.distance[:, 0]))
-        )
-    pairs = Pairs.of(near, Quadrics.of(near, planes, noise), noise)
-    labels, few, least = facets(pairs, len(points)), float(_FIRST), _LEAST * len(points)
-    for _ in range(_ROUNDS):
-        labels = joined(moved(labels, pairs, few), pairs, _CONTACT)
-        few = max(least, float(_FIRST))
-        labels = cut_at_waists(labels, pairs, _WAIST, _PART * len(points))
-    labels = renumbered(moved(labels, pairs, few))
-    thickness = noise / float(np.median(near.radius))
-    table, tubes = _no_petals(labels, points, noise)
-    labels = whole = renumbered(np.where(table | tubes, -1, labels))
-    labels, more_or_fewer = _cut_at_lobes(labels, points, pairs, few)
-    trimmed = _with_bases_shared_out(_without_scraps(labels), points, pairs, few)
+    sheets = sheets_of(points, seed)
+    pairs, noise, least = sheets.pairs, sheets.noise, sheets.least
+    table, tubes = _no_petals(sheets.labels, points, noise)
+    labels = whole = renumbered(np.where(table | tubes, -1, sheets.labels))
+    labels, more_or_fewer = _cut_at_lobes(labels, points, pairs, least)
+    trimmed = _with_bases_shared_out(_without_scraps(labels), points, pairs, least)
     if count is not None:
         if count_of(trimmed) >= count:
             labels = trimmed
-        labels = _of_count(labels, pairs, count, few)
-        return Segments(labels, noise, (), thickness, {}, table, tubes)
-    more_or_fewer |= _in_doubt(whole, trimmed, pairs, _PART * len(points))
+        labels = _of_count(labels, pairs, count, least)
+        return Segments(labels, noise, (), sheets.thickness, {}, table, tubes)
+    more_or_fewer |= _in_doubt(whole, trimmed, pairs, PART * len(points))
     rivals = tuple(sorted(count_of(trimmed) + k for k in more_or_fewer))
     contacts = _contacts(trimmed, whole, pairs)
-    return Segments(trimmed, noise, rivals, thickness, contacts, table, tubes)
+    return Segments(trimmed, noise, rivals, sheets.thickness, contacts, table, tubes)
 
 
 def _no_petals(
@@ -229,6 +204,6 @@ def _in_doubt(
     """
     widest = max(contact_widths(whole, pairs).values(), default=0.0)
     waists = [narrowest_waist(part, pairs, least).width for part in members_of(labels)]
-    fewer = widest > (1 - _NEARLY) * _CONTACT
-    more = min(waists, default=np.inf) < (1 + _NEARLY) * _WAIST
+    fewer = widest > (1 - _NEARLY) * CONTACT
+    more = min(waists, default=np.inf) < (1 + _NEARLY) * WAIST
     return frozenset([-1] * fewer + [1] * more)
