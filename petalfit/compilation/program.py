@@ -118,24 +118,28 @@ def _parts(size: int) -> list[slice]:
 
 def _side_by_side(program: Callable, calls: Sequence[list]) -> list:
     """The results of a program for several lists of leaves, on all cores."""
-
-    def share(some: Sequence[list]) -> list:
-        return [jax.tree.map(np.asarray, program(*leaves)) for leaves in some]
-
-    double = is_double()
-
-    def beside(some: Sequence[list]) -> list:
-        # Settings of jax belong to a thread.
-        with jax.enable_x64(double):
-            return share(some)
-
     parts = min(_CORES, len(calls))
     if parts == 1 or threading.current_thread().name.startswith(_WORKER):
         # A worker that waits for others, while they wait for it, would wait for ever.
-        return share(calls)
-    others = [_workers().submit(beside, calls[part::parts]) for part in range(1, parts)]
-    shares = [share(calls[::parts]), *(future.result() for future in others)]
+        return _in_turn(program, calls)
+    double = is_double()
+    others = [
+        _workers().submit(_with_precision, double, program, calls[part::parts])
+        for part in range(1, parts)
+    ]
+    shares = [_in_turn(program, calls[::parts]), *(future.result() for future in others)]
     return [shares[k % parts][k // parts] for k in range(len(calls))]
+
+
+def _in_turn(program: Callable, calls: Sequence[list]) -> list:
+    """The results of a program for several lists of leaves, in arrays of NumPy."""
+    return [jax.tree.map(np.asarray, program(*leaves)) for leaves in calls]
+
+
+def _with_precision(double: bool, program: Callable, calls: Sequence[list]) -> list:
+    """The same in a thread of its own, which does not know the precision of the one that asks."""
+    with jax.enable_x64(double):
+        return _in_turn(program, calls)
 
 
 def prepared(function: Callable[[], object]) -> Callable[[], None]:

@@ -61,7 +61,7 @@ class ExecutableStore:
 
         It takes the leaves, and returns the function's result.
         """
-        forms = tuple(map(_form, leaves))
+        forms = _forms(leaves)
         # Objects suffice as keys within a process; the name of a file takes a hundred times as long.
         like = function, structure, forms, is_double()
         if like not in self._loaded:
@@ -88,7 +88,7 @@ class ExecutableStore:
         self, key: str | None, function: Callable, structure: Any, leaves: Sequence
     ) -> Callable:
         """Compiles a program, and saves it under its key if it has one."""
-        results, forms = [], tuple(map(_form, leaves))
+        results, forms = [], _forms(leaves)
 
         # The program maps leaves to leaves: a model can be pickled, but the structure of one cannot.
         def flat(scalars: jax.Array, *others: object) -> list:
@@ -204,12 +204,17 @@ def is_double() -> bool:
     return jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
 
 
-def _form(leaf: Any) -> tuple[object, ...]:
-    if type(leaf) is np.ndarray:
-        return leaf.shape, leaf.dtype.str, False
-    weak = type(leaf) in (bool, int, float) or getattr(leaf, "weak_type", False)
-    kind = leaf.dtype if isinstance(leaf, jax.Array | np.ndarray) else np.asarray(leaf).dtype
-    return np.shape(leaf), kind.str, weak
+def _forms(leaves: Sequence) -> tuple[tuple[object, ...], ...]:
+    """The shape and the type of every leaf, and whether its type is weak."""
+    forms = []
+    for leaf in leaves:
+        if type(leaf) is np.ndarray:
+            forms.append((leaf.shape, leaf.dtype.str, False))
+            continue
+        weak = type(leaf) in (bool, int, float) or getattr(leaf, "weak_type", False)
+        kind = leaf.dtype if isinstance(leaf, jax.Array | np.ndarray) else np.asarray(leaf).dtype
+        forms.append((np.shape(leaf), kind.str, weak))
+    return tuple(forms)
 
 
 @functools.cache

@@ -29,11 +29,11 @@ def facets(pairs: Pairs, count: int) -> Int[np.ndarray, " n"]:
         pairs: The pairs of near points.
         count: The number of points.
     """
-    beside: list[dict[int, tuple[float, int]] | None] = [{} for _ in range(count)]
+    beside: list[dict[int, tuple[float, int]]] = [{} for _ in range(count)]
     rows = zip(pairs.one.tolist(), pairs.other.tolist(), pairs.same.tolist(), strict=True)
     heap = []
     for a, b, evidence in rows:
-        _of(beside, a)[b] = _of(beside, b)[a] = (evidence, 1)
+        beside[a][b] = beside[b][a] = (evidence, 1)
         if evidence > 0:
             heap.append((-evidence, a, b, 1))
     heapq.heapify(heap)
@@ -41,8 +41,8 @@ def facets(pairs: Pairs, count: int) -> Int[np.ndarray, " n"]:
     while heap:
         mean, a, b, links = heapq.heappop(heap)
         of_a, of_b = beside[a], beside[b]
-        if of_a is None or of_b is None or b not in of_a:
-            continue
+        if b not in of_a:
+            continue  # one of them has been joined to another cluster
         total, number = of_a[b]
         if number != links or total / number != -mean:
             continue  # more links have been added since
@@ -51,13 +51,13 @@ def facets(pairs: Pairs, count: int) -> Int[np.ndarray, " n"]:
             continue
         if len(of_a) < len(of_b):
             a, b, of_a, of_b = b, a, of_b, of_a
-        parent[b], beside[b] = a, None
+        parent[b], beside[b] = a, {}
         size[a] += size[b]
         del of_a[b]
         for other, (evidence, links) in of_b.items():
             if other == a:
                 continue
-            of_other = _of(beside, other)
+            of_other = beside[other]
             del of_other[b]
             before = of_a.get(other, (0.0, 0))
             joined = (before[0] + evidence, before[1] + links)
@@ -68,12 +68,6 @@ def facets(pairs: Pairs, count: int) -> Int[np.ndarray, " n"]:
         while parent[k] != parent[parent[k]]:
             parent[k] = parent[parent[k]]
     return np.unique(parent, return_inverse=True)[1]
-
-
-def _of(beside: list[dict[int, tuple[float, int]] | None], k: int) -> dict[int, tuple[float, int]]:
-    found = beside[k]
-    assert found is not None
-    return found
 
 
 def moved(labels: Int[np.ndarray, " n"], pairs: Pairs, least: float) -> Int[np.ndarray, " n"]:

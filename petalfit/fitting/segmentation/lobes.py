@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.cluster.hierarchy import DisjointSet
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 
@@ -98,7 +99,7 @@ def _tips(
     Also the rivals; see `Lobes`. A single lobe has no tip.
     """
     count = len(away)
-    parent, size, tip = [*range(count)], [0] * count, [*range(count)]
+    pieces, size, tip = DisjointSet(range(count)), [0] * count, [*range(count)]
     order = np.argsort(-away, kind="stable")
     starts, others = (np.asarray(part).tolist() for part in (graph.indptr, graph.indices))
     seen = [False] * count
@@ -106,16 +107,9 @@ def _tips(
     parted: dict[int, float] = {}  # where the lobe of a tip first met another
     lobes: list[int] = []
     rivals: set[int] = set()
-
-    def root(k: int) -> int:
-        while parent[k] != k:
-            parent[k] = parent[parent[k]]
-            k = parent[k]
-        return k
-
     for k in order.tolist():
         seen[k], size[k] = True, 1
-        above = {root(m) for m in others[starts[k] : starts[k + 1]] if seen[m] and m != k}
+        above = {pieces[m] for m in others[starts[k] : starts[k + 1]] if seen[m] and m != k}
         longest, *shorter = [*sorted(above, key=lambda r: -away[tip[r]]), k]
         for one in shorter:
             reach, here = float(away[tip[one]]), float(away[k])
@@ -127,8 +121,10 @@ def _tips(
                     lobes.append(tip[one])
                     parted.setdefault(tip[one], here)
                     parted.setdefault(tip[longest], here)
-            parent[one] = longest
-            size[longest] += size[one]
+            pieces.merge(longest, one)
+            joined = pieces[longest]
+            size[joined], tip[joined] = size[longest] + size[one], tip[longest]
+            longest = joined
     if lobes:
         lobes.append(first)
     return [(place, parted[place]) for place in lobes], frozenset(rivals)
