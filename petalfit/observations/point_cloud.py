@@ -31,6 +31,7 @@ from petalfit.observations.validation import (
     valid_weights,
 )
 from petalfit.observations.writers import write_columns
+from petalfit.schema import unpacked
 
 if TYPE_CHECKING:
     import trimesh
@@ -43,10 +44,10 @@ _MANY_COINCIDE, _LARGE_SHARE_COINCIDES = 10, 0.01
 class _Columns(msgspec.Struct):
     """What a file holds of a cloud."""
 
-    points: list[list[float]]
-    normals: list[list[float]] | None
-    weights: list[float] | None
-    colours: list[list[float]] | None
+    points: list[list[float]] | bytes
+    normals: list[list[float]] | bytes | None
+    weights: list[float] | bytes | None
+    colours: list[list[float]] | bytes | None
 
 
 @dataclass(frozen=True, init=False, eq=False, repr=False)
@@ -185,7 +186,13 @@ class PointCloud(AbstractObservation):
 
     @classmethod
     def from_json(cls, content: dict[str, Any]) -> "PointCloud":
-        return cls(**msgspec.structs.asdict(msgspec.convert(content, _Columns)))
+        columns = msgspec.convert(content, _Columns)
+        return cls(
+            unpacked(columns.points, -1, 3),
+            None if columns.normals is None else unpacked(columns.normals, -1, 3),
+            None if columns.weights is None else unpacked(columns.weights, -1),
+            None if columns.colours is None else unpacked(columns.colours, -1, 3),
+        )
 
     @classmethod
     def load(

@@ -19,11 +19,12 @@ from petalfit.results.profile import Profile
 from petalfit.results.status import Status
 from petalfit.results.trait import TRAITS
 from petalfit.results.warning import WarningKind
-from petalfit.schema import Count, Finite, NotNegative, Positive, SchemaError
+from petalfit.schema import Count, Finite, NotNegative, Positive, SchemaError, unpacked
 from petalfit.surfaces import AbstractSurface, Pose, with_value
 
 FORMAT = "petalfit.FitResult"
-VERSION = 5
+VERSION = 6
+READ = (5, VERSION)  # files of version 5 have no packed arrays
 LARGEST = 2_000_000_000  # bytes
 _ROUNDING = 1e-6  # a result at a bound may lie beyond it by rounding
 _GREATEST = 1e100  # of a length in a file: volumes of more are no numbers
@@ -83,10 +84,10 @@ class AgreementOfFile(msgspec.Struct):
     """The agreement of a target, which is an observation of any kind, with the surface."""
 
     target: dict[str, Any]
-    distances: list[float]
-    weights: list[NotNegative]
+    distances: list[float] | bytes
+    weights: list[NotNegative] | bytes
     noise: float
-    uv: list[tuple[float, float]] | None
+    uv: list[tuple[float, float]] | bytes | None
 
 
 class FitFile(msgspec.Struct, kw_only=True):
@@ -198,29 +199,32 @@ def agreement_of(part: AgreementOfFile) -> Agreement:
     """
     target = observation_from_json(part.target)
     data = Contour.of(target).place if isinstance(target, Silhouette) else target
-    if isinstance(data, Sized) and len(data) != len(part.distances):
+    distances, weights = unpacked(part.distances, -1), unpacked(part.weights, -1)
+    uv = None if part.uv is None else unpacked(part.uv, -1, 2)
+    if isinstance(data, Sized) and len(data) != len(distances):
         raise SchemaError(f"the {target.kind} does not have a datum for each distance")
-    return Agreement(
-        target,
-        np.array(part.distances, float),
-        np.array(part.weights, float),
-        part.noise,
-        None if part.uv is None else np.array(part.uv, float).reshape(-1, 2),
-    )
+    return Agreement(target, distances, weights, part.noise, uv)
 
 
-def check(file: FitFile, model: AbstractSurface) -> None:
+def check(file: FitFile, model: AbstractSurface, agreements: Sequence[Agreement]) -> None:
     """Checks what the members of a file must be together.
+
+    Args:
+        file: The file.
+        model: The model that it holds.
+        agreements: The agreements that it holds.
 
     Raises:
         SchemaError: One of them contradicts another.
     """
-    for holds, complaint in _laws(file, model):
+    for holds, complaint in _laws(file, model, agreements):
         if not holds:
             raise SchemaError(complaint)
 
 
-def _laws(file: FitFile, model: AbstractSurface) -> Iterator[tuple[bool, str]]:
+def _laws(
+    file: FitFile, model: AbstractSurface, agreements: Sequence[Agreement]
+) -> Iterator[tuple[bool, str]]:
     """Pairs of whether a law holds, and a complaint if it does not."""
     names, values = set(file.names), file.values
     yield len(names) == len(file.names), "a name stands twice among the names"
@@ -259,12 +263,15 @@ def _laws(file: FitFile, model: AbstractSurface) -> Iterator[tuple[bool, str]]:
             name in values and len(profile.values) == len(profile.delta_chi2) > 1,
             (f"the profile of {name} has no value for each Δχ²"),
         )
-    yield bool(file.agreements), "there is no target"
-    for part in file.agreements:
+    yield bool(agreements), "there is no target"
+    for part in agreements:
         count = len(part.distances)
         yield len(part.weights) == count > 0, "there is not one weight for each distance"
         yield part.uv is None or len(part.uv) == count, "there is not one uv for each distance"
-        yield any(part.weights), "all weights are zero"
+        allowed = np.isfinite(part.weights) & (part.weights >= 0)
+        yield bool(allowed.all()), "a weight is negative or not finite"
+        yield bool(part.weights.any()), "all weights are zero"
     if file.status is not Status.NOT_FINITE:
-        numbers = [*values.values(), *(x for part in file.agreements for x in part.distances)]
+        distances = [part.distances for part in agreements]
+        numbers = np.concatenate([[*values.values()], *distances])
         yield bool(np.isfinite(numbers).all()), "a value or a distance is not finite"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
@@ -21,7 +20,7 @@ from petalfit.results.layout import Layout, Quantity
 from petalfit.results.record import FitRecord
 from petalfit.results.spread import Spread, spreads_of
 from petalfit.results.warning import FitWarning
-from petalfit.schema import Count, NotNegative, SchemaError, encode
+from petalfit.schema import Count, NotNegative, SchemaError, as_json, encode, unpacked
 from petalfit.surfaces import Pose
 from petalfit.version import VERSION as PETALFIT
 
@@ -29,7 +28,8 @@ if TYPE_CHECKING:
     import trimesh
 
 FORMAT = "petalfit.FlowerResult"
-VERSION = 1
+VERSION = 2
+_READ = (1, VERSION)  # files of version 1 have no packed arrays
 Record = TypeVar("Record", bound="FlowerRecord")
 
 
@@ -38,8 +38,8 @@ class FlowerFile(msgspec.Struct, kw_only=True):
 
     target: dict[str, Any]
     petals: list[msgspec.Raw]
-    labels: list[int]
-    memberships: list[list[NotNegative]]
+    labels: list[int] | bytes
+    memberships: list[list[NotNegative]] | bytes
     axis: PoseOfFile
     layout: Layout
     rivals: tuple[Count, ...]
@@ -146,7 +146,7 @@ class FlowerRecord:
             "warnings": [warning.to_json() for warning in self.warnings],
         }
         with atomic_path(path) as temporary:
-            temporary.write_text(json.dumps(content, allow_nan=False) + "\n")
+            temporary.write_bytes(as_json(content))
 
     @classmethod
     def load(cls: type[Record], path: str | os.PathLike[str]) -> Record:
@@ -160,7 +160,7 @@ class FlowerRecord:
             head = schema.read(path, Head, LARGEST)
         except (OSError, SchemaError) as error:
             raise TargetError(f"{name} cannot be read as a flower's fit: {error}.") from None
-        if head.format != FORMAT or head.version != VERSION:
+        if head.format != FORMAT or head.version not in _READ:
             raise TargetError(
                 f"{name} is not a flower's fit of version {VERSION}; `petalfit flower` writes them."
             )
@@ -176,19 +176,21 @@ class FlowerRecord:
         target = observation_from_json(file.target)
         if not isinstance(target, PointCloud):
             raise SchemaError("the target is no cloud")
-        labels = np.array(file.labels, int)
-        if len(labels) != len(target) or labels.min() < -1 or labels.max() >= len(petals):
+        labels = unpacked(file.labels, -1)
+        whole = np.isin(labels, np.arange(-1, len(petals))).all()
+        if len(labels) != len(target) or not whole:
             raise SchemaError("the labels do not name a petal for each point")
-        if [len(row) for row in file.memberships] != [len(petals)] * len(target):
-            raise SchemaError("the memberships do not have a row for each point")
+        memberships = unpacked(file.memberships, len(target), len(petals))
+        if not (np.isfinite(memberships) & (memberships >= 0)).all():
+            raise SchemaError("a membership is negative or not finite")
         numbers = {k for whorl in file.layout.whorls for k in whorl.petals}
         if not numbers <= set(range(len(petals))):
             raise SchemaError("a whorl names a petal that is not there")
         return cls(
             target=target,
             petals=petals,
-            labels=labels,
-            memberships=np.array(file.memberships, float).reshape(len(target), len(petals)),
+            labels=labels.astype(int),
+            memberships=memberships,
             axis=pose_of(file.axis),
             layout=file.layout,
             rivals=file.rivals,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import json
 import os
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
@@ -22,6 +21,7 @@ from petalfit.results.estimate import Estimate, Start, rivals
 from petalfit.results.file import (
     FORMAT,
     LARGEST,
+    READ,
     VERSION,
     FitFile,
     Head,
@@ -36,7 +36,7 @@ from petalfit.results.misfit import MisfitMap
 from petalfit.results.profile import Profile
 from petalfit.results.trait import Posterior, Trait, traits_of
 from petalfit.results.warning import FitWarning
-from petalfit.schema import SchemaError, encode
+from petalfit.schema import SchemaError, as_json, encode
 from petalfit.surfaces import AbstractSurface, Pose, moved
 from petalfit.version import VERSION as PETALFIT
 
@@ -174,7 +174,7 @@ class FitRecord(Estimate):
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write everything as lossless JSON, which `load` reads. A failure leaves no partial file."""
         with atomic_path(path) as temporary:
-            temporary.write_text(json.dumps(self.to_json(), indent=1, allow_nan=False) + "\n")
+            temporary.write_bytes(as_json(self.to_json()))
 
     @classmethod
     def load(
@@ -199,7 +199,7 @@ class FitRecord(Estimate):
             raise TargetError(f"{name} cannot be read as a fit result: {error}.") from None
         if head.format != FORMAT:
             raise TargetError(f"{name} is not a fit result; `petalfit fit` writes them.")
-        if head.version != VERSION:
+        if head.version not in READ:
             raise TargetError(
                 f"{name} has version {head.version} of the format, and this petalfit reads version "
                 f"{VERSION}. Fit the target again: {head.command or 'petalfit fit TARGET --out DIR'}"
@@ -248,7 +248,8 @@ class FitRecord(Estimate):
     def of_file(cls: type[Record], file: FitFile, kind: type[AbstractSurface]) -> Record:
         """The record that a file holds, with the class of its model."""
         model = model_of(file, kind)
-        check(file, model)
+        agreements = tuple(map(agreement_of, file.agreements))
+        check(file, model, agreements)
         kept = {field.name for field in dataclasses.fields(cls)} & set(FitFile.__struct_fields__)
         fields: dict[str, Any] = {name: getattr(file, name) for name in kept}
         fields["pose"] = pose_of(file.pose)
@@ -259,5 +260,5 @@ class FitRecord(Estimate):
         fields["warnings"] = tuple(
             FitWarning(warning.text, warning.kind, warning.parameters) for warning in file.warnings
         )
-        fields["agreements"] = tuple(map(agreement_of, file.agreements))
+        fields["agreements"] = agreements
         return cls(model=model, **fields)

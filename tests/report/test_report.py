@@ -146,7 +146,7 @@ class TestContent:
 
     def test_provenance(self, page):
         assert f"petalfit {__version__}" in " ".join(page.text.split())
-        assert "petalfit.FitResult, version 5" in page.text
+        assert "petalfit.FitResult, version 6" in page.text
         assert posed().message in page.text
         assert posed().input_hash in page.text
         assert "400 points (360 of them used)" in page.text

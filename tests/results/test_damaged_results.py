@@ -90,7 +90,7 @@ def test_many_damaged_fits_are_refused_or_usable(tmp_path):
 @each_case("fit*.json")
 def test_fits_that_were_seen_to_break(path, tmp_path):
     # They were written in an older format, whose version would be all that is refused.
-    attempt(re.sub(rb'"version": 3', b'"version": 5', path.read_bytes(), count=1), tmp_path)
+    attempt(re.sub(rb'"version": 3', b'"version": 6', path.read_bytes(), count=1), tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -111,6 +111,43 @@ def test_the_sentence_says_what_is_wrong(change, said, tmp_path):
     content = json.loads(files(tmp_path)[0]) | change
     (tmp_path / "fit.json").write_text(json.dumps(content))
     with pytest.raises(pf.TargetError, match=re.escape(f"is a damaged fit result: {said}; fit")):
+        pf.FitResult.load(tmp_path / "fit.json")
+
+
+def test_large_arrays_are_packed_and_come_back_exactly(tmp_path, monkeypatch):
+    result = few(known_pose(), 150)
+    (part,) = result.agreements
+    part = dataclasses.replace(part, uv=np.random.default_rng(0).uniform(size=(150, 2)))
+    result = dataclasses.replace(result, agreements=(part,))
+    result.save(tmp_path / "lists.json")
+    monkeypatch.setattr("petalfit.schema._MANY", 140)
+    result.save(tmp_path / "fit.json")
+    content = json.loads((tmp_path / "fit.json").read_bytes())
+    (packed,) = content["agreements"]
+    assert {type(packed[name]) for name in ("distances", "weights", "uv")} == {str}
+    assert type(packed["target"]["points"]) is str
+    for name in ("fit.json", "lists.json"):
+        (again,) = pf.FitResult.load(tmp_path / name).agreements
+        np.testing.assert_array_equal(again.target.points, part.target.points)
+        for array in ("distances", "weights", "uv"):
+            np.testing.assert_array_equal(getattr(again, array), getattr(part, array))
+
+
+@pytest.mark.parametrize(
+    ("name", "array"),
+    [
+        ("distances", np.zeros(39)),
+        ("distances", np.full(40, np.nan)),
+        ("weights", np.full(40, -1.0)),
+        ("weights", np.full(40, np.inf)),
+        ("uv", np.zeros(41)),
+    ],
+)
+def test_packed_nonsense_is_refused(name, array, tmp_path):
+    content = json.loads(files(tmp_path)[0])
+    content["agreements"][0][name] = base64.b64encode(array.tobytes()).decode()
+    (tmp_path / "fit.json").write_text(json.dumps(content))
+    with pytest.raises(pf.TargetError, match="is a damaged fit result"):
         pf.FitResult.load(tmp_path / "fit.json")
 
 
