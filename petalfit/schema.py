@@ -124,10 +124,13 @@ def unpacked(numbers: Sequence | bytes, *shape: int) -> Float64[np.ndarray, "...
     return shaped
 
 
-def as_json(content: Any) -> bytes:
-    """What `encode` returned, as a file of JSON with a member in each line."""
-    lines = msgspec.json.encode(content, enc_hook=np.generic.item)
-    return msgspec.json.format(lines, indent=1) + b"\n"
+def write(path: str | os.PathLike[str], content: Any) -> None:
+    """Writes what `encode` returned as JSON, with a member in each line."""
+    with open(path, "wb") as file:
+        file.write(
+            msgspec.json.format(msgspec.json.encode(content, enc_hook=np.generic.item), indent=1)
+        )
+        file.write(b"\n")
 
 
 def _said(text: str) -> str:

@@ -24,6 +24,7 @@ from petalfit.observations.triangles import (
 )
 from petalfit.observations.validation import (
     ArrayLike,
+    bounds,
     check_spread,
     valid_colours,
     valid_normals,
@@ -113,7 +114,8 @@ class PointCloud(AbstractObservation):
     @property
     def extent(self) -> Float64[np.ndarray, "3"]:
         """The sides of the axis-aligned bounding box; (3,)."""
-        return np.ptp(self.points, axis=0)
+        low, high = bounds(self.points)
+        return high - low
 
     @property
     def diagonal(self) -> float:

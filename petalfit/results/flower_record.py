@@ -20,7 +20,7 @@ from petalfit.results.layout import Layout, Quantity
 from petalfit.results.record import FitRecord
 from petalfit.results.spread import Spread, spreads_of
 from petalfit.results.warning import FitWarning
-from petalfit.schema import Count, NotNegative, SchemaError, as_json, encode, unpacked
+from petalfit.schema import Count, NotNegative, SchemaError, encode, unpacked
 from petalfit.surfaces import Pose
 from petalfit.version import VERSION as PETALFIT
 
@@ -146,7 +146,7 @@ class FlowerRecord:
             "warnings": [warning.to_json() for warning in self.warnings],
         }
         with atomic_path(path) as temporary:
-            temporary.write_bytes(as_json(content))
+            schema.write(temporary, content)
 
     @classmethod
     def load(cls: type[Record], path: str | os.PathLike[str]) -> Record:

@@ -36,7 +36,7 @@ from petalfit.results.misfit import MisfitMap
 from petalfit.results.profile import Profile
 from petalfit.results.trait import Posterior, Trait, traits_of
 from petalfit.results.warning import FitWarning
-from petalfit.schema import SchemaError, as_json, encode
+from petalfit.schema import SchemaError, encode
 from petalfit.surfaces import AbstractSurface, Pose, moved
 from petalfit.version import VERSION as PETALFIT
 
@@ -174,7 +174,7 @@ class FitRecord(Estimate):
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write everything as lossless JSON, which `load` reads. A failure leaves no partial file."""
         with atomic_path(path) as temporary:
-            temporary.write_bytes(as_json(self.to_json()))
+            schema.write(temporary, self.to_json())
 
     @classmethod
     def load(

@@ -43,7 +43,8 @@ class NormalisedFrame:
         _, axes = np.linalg.eigh(centred.T @ centred)
         # Each axis points to the heavier tail of the points along it; then the first one is turned, if
         # need be, to make the axes right-handed.
-        axes = axes * np.where(np.sum((centred @ axes) ** 3, axis=0) < 0, -1.0, 1.0)
+        along = centred @ axes
+        axes = axes * np.where(np.sum(along * along * along, axis=0) < 0, -1.0, 1.0)
         axes[:, 0] *= np.sign(np.linalg.det(axes))
         extent = float(np.sqrt(np.mean(np.sum(centred**2, axis=1))))
         return cls(axes, centre, extent if pose == "similarity" else 1.0, exact=False)
