@@ -29,6 +29,7 @@ from petalfit.fitting.solver.observer import report
 from petalfit.fitting.solver.settle import Settled, Settling, begun, settle
 from petalfit.fitting.starts.frame import NormalisedFrame
 from petalfit.observations import PointCloud
+from petalfit.residuals import pulled
 from petalfit.surfaces import AbstractSurface, in_doubles, value_at
 
 # Numbers of points for the search for starts, and for rough steps.
@@ -147,13 +148,18 @@ class OpenSurfaceFamily(AbstractFamily):
         def problem(model: AbstractSurface) -> Settling:
             return Settling.of(model, names, few, scan.noise, heat)
 
-        def foresee() -> None:
-            somewhere = request.template
-            if request.pose != "known":
-                somewhere = Posed(somewhere, np.eye(3), np.zeros(3), 1.0)
-            begun(problem(somewhere), somewhere).end()
+        somewhere = request.template
+        if request.pose != "known":
+            somewhere = Posed(somewhere, np.eye(3), np.zeros(3), 1.0)
+        somewhere = in_doubles(somewhere)
 
-        foreseen = prepared(foresee)
+        def foresee_end() -> None:
+            uv = few.beside(somewhere, np.zeros((len(few.points), 2)))[2]
+            pulled(somewhere, uv, np.ones_like(few.points), names, few.points)
+
+        # What descents need is compiled beside what their ends need.
+        descents_foreseen = prepared(lambda: begun(problem(somewhere), somewhere))
+        end_foreseen = prepared(foresee_end)
         given = request.template
         if request.begun is not None:
             given = frame.placed(given, request.begun)
@@ -168,10 +174,11 @@ class OpenSurfaceFamily(AbstractFamily):
                 every = [_with_base_near(every, frame.into(np.array([request.base]))[0])]
             found = self.followed(every)
             starts = [(start.label, start.posed(request.pose)) for start in found]
-        foreseen()
+        descents_foreseen()
         used = {"starts": min(_SOME, len(sheets)), "rough steps": len(few.points)}
         with stage("polishing"):
             near = _roughly([begun(problem(model), model, label) for label, model in starts])
+        end_foreseen()
         heat = _temperature(near[0], names)
         large = len(scan.points) > ENOUGH and not scan.every_point
         if len(scan.points) > 2 * _SOME:
