@@ -154,7 +154,7 @@ def prepared(function: Callable[[], object]) -> Callable[[], None]:
         with unwatched(), jax.enable_x64(double):
             function()
 
-    future = _workers().submit(contextvars.copy_context().run, run)
+    future = _workers_ahead().submit(contextvars.copy_context().run, run)
 
     def wait() -> None:
         with stage("compiling"):
@@ -166,3 +166,9 @@ def prepared(function: Callable[[], object]) -> Callable[[], None]:
 @cache
 def _workers() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(_CORES, _WORKER)
+
+
+@cache
+def _workers_ahead() -> ThreadPoolExecutor:
+    """Others than `_workers`: no call of a program waits until others are compiled."""
+    return ThreadPoolExecutor(_CORES, f"{_WORKER}-ahead")

@@ -8,6 +8,7 @@ import hashlib
 import os
 import pickle
 import platform
+import threading
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from importlib.metadata import version
@@ -55,6 +56,7 @@ class ExecutableStore:
     def __init__(self, folder: Path | None) -> None:
         self.folder = folder
         self._loaded: dict[Hashable, Callable] = {}
+        self._locks: dict[Hashable, threading.Lock] = {}
 
     def program(self, function: Callable, structure: Any, leaves: Sequence) -> Callable:
         """The program of a function for arguments of a structure, with such leaves.
@@ -64,8 +66,11 @@ class ExecutableStore:
         forms = _forms(leaves)
         # Objects suffice as keys within a process; the name of a file takes a hundred times as long.
         like = function, structure, forms, is_double()
-        if like not in self._loaded:
-            with stage("compiling"):
+        if like in self._loaded:
+            return self._loaded[like]
+        # Of threads that need the same program, one compiles it.
+        with stage("compiling"), self._locks.setdefault(like, threading.Lock()):
+            if like not in self._loaded:
                 known = self.folder is not None and _is_known(function, structure)
                 key = _key(function, structure, forms) if known else None
                 kept = None if key is None else self._load(key)

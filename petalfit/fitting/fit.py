@@ -324,6 +324,11 @@ def _fit_best(targets: list[AbstractObservation], asked: dict[str, Any]) -> FitR
     if len(targets) > 1 or targets[0].kind != "cloud":
         raise TargetError("model='auto' compares families on one cloud; name a model for masks.")
     results, refusals = [], []
+    with jax.enable_x64(True):
+        for family in petals():
+            template, names = configuration(family.kind, None, None)
+            if asked["pose"] in family.poses and isinstance(template, AbstractSurface):
+                family.foresee(template, names, asked["pose"])
     for family in petals():
         try:
             with prefixed(family.kind.__name__):

@@ -1,13 +1,24 @@
 """Programs that treat rows alone: in blocks, the result is the same and nothing more is compiled."""
 
+import contextvars
 import os
+import time
+from concurrent.futures import ThreadPoolExecutor
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from petalfit.compilation import ROWS, ExecutableStore, RowProgram, prepared, use_store, watched
+from petalfit.compilation import (
+    ROWS,
+    ExecutableStore,
+    Program,
+    RowProgram,
+    prepared,
+    use_store,
+    watched,
+)
 
 
 def _shifted(shift: jax.Array, factor: float, rows: jax.Array) -> jax.Array:
@@ -49,3 +60,26 @@ def test_workers_do_not_wait_for_each_other():
         wait()
     assert len(found) == 2 * (os.cpu_count() or 1)
     assert all((x[:, :3] == 2).all() for x in found)
+
+
+def test_threads_that_need_the_same_program_compile_it_once():
+    traced = []
+
+    def slow(x):
+        traced.append(x)
+        time.sleep(0.2)
+        return 2 * x
+
+    program, store, x = Program(slow), ExecutableStore(None), np.arange(3.0)
+    with ThreadPoolExecutor(4) as pool, jax.enable_x64(True), use_store(store):
+        calls = [
+            pool.submit(contextvars.copy_context().run, _in_doubles, program, x) for _ in range(4)
+        ]
+        for call in calls:
+            np.testing.assert_array_equal(call.result(), 2 * x)
+    assert len(traced) == 1
+
+
+def _in_doubles(program, x):
+    with jax.enable_x64(True):
+        return np.asarray(program(x))

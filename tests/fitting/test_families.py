@@ -2,10 +2,14 @@
 
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
 import petalfit as pf
+from petalfit.compilation import ExecutableStore, use_store
+from petalfit.fitting.families.blade.family import BladeFamily
+from petalfit.fitting.request.configuration import configuration
 from petalfit.synthetic import random_petal
 
 PETALS = Path(__file__).parents[3] / "shared" / "data" / "petals"
@@ -71,3 +75,18 @@ def test_what_cannot_be_compared_is_refused():
         pf.fit_petal(cloud, model="auto", free=["a_x"])
     with pytest.raises(pf.TargetError, match="one cloud"):
         pf.fit_petal([cloud, cloud], model="auto")
+
+
+def test_programs_of_a_blade_are_compiled_ahead():
+    store = ExecutableStore(None)
+    cloud = pf.BladePetal(length=30.0, bend=0.5).sample(600, seed=1, noise=0.03)
+    with use_store(store), jax.enable_x64(True):
+        family = BladeFamily()
+        for wait in family.foresee(*configuration(pf.BladePetal, None, None), "similarity"):
+            wait()
+        ahead = set(store._loaded)
+        pf.fit_petal(cloud, model=pf.BladePetal, pose="similarity")
+    assert len(ahead) >= 6
+    # What is left are small programs of traits.
+    late = {like[0].__name__ for like in set(store._loaded) - ahead}
+    assert late <= {"_position"}

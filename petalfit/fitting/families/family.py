@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import ClassVar
 
 from petalfit.components import Posed
@@ -67,6 +67,24 @@ class AbstractFamily(abc.ABC):
         """Names that are free in a pose: the parameters that it does not make redundant, and its own."""
         redundant = self.gauges.get(pose, ())
         return (*(name for name in free if name not in redundant), *Posed.free_in(pose))
+
+    def foresee(
+        self, template: AbstractSurface, free: tuple[str, ...], pose: str
+    ) -> tuple[Callable[[], None], ...]:
+        """Begins to compile, beside what follows, programs that a fit to a cloud will need.
+
+        Call it inside `jax.enable_x64(True)`.
+
+        Args:
+            template: A component of the family.
+            free: Names of the free parameters.
+            pose: "known", "rigid" or "similarity".
+
+        Returns:
+            Functions that wait until some of them are compiled.
+        """
+        del template, free, pose
+        return ()
 
     def hidden_from(self, request: Request) -> tuple[str, ...]:
         """Names of the parameters that the targets of a request cannot show."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import abc
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import ClassVar, TypeVar
 
 import numpy as np
@@ -136,6 +136,27 @@ class OpenSurfaceFamily(AbstractFamily):
         del names
         return end
 
+    def foresee(
+        self, template: AbstractSurface, free: tuple[str, ...], pose: str
+    ) -> tuple[Callable[[], None], ...]:
+        names = self.free_in(pose, free)
+        somewhere = template
+        if pose != "known":
+            somewhere = Posed(template, np.eye(3), np.zeros(3), 1.0)
+        somewhere = in_doubles(somewhere)
+        # Programs depend on the number of points, and not on where these are.
+        points = np.random.default_rng(0).normal(size=(_ROUGHLY, 3))
+        sheet = Sheet(points, np.ones(_ROUGHLY))
+
+        def begin() -> None:
+            begun(Settling.of(somewhere, names, sheet), somewhere)
+
+        def end() -> None:
+            uv = sheet.beside(somewhere, np.zeros((_ROUGHLY, 2)))[2]
+            pulled(somewhere, uv, np.ones((_ROUGHLY, 3)), names, points)
+
+        return prepared(begin), prepared(end)
+
     def fit_cloud(self, request: Request) -> list[Iterate]:
         used = request.cloud.mass > 0
         frame = NormalisedFrame.of(request.cloud.points[used], request.pose)
@@ -148,18 +169,9 @@ class OpenSurfaceFamily(AbstractFamily):
         def problem(model: AbstractSurface) -> Settling:
             return Settling.of(model, names, few, scan.noise, heat)
 
-        somewhere = request.template
-        if request.pose != "known":
-            somewhere = Posed(somewhere, np.eye(3), np.zeros(3), 1.0)
-        somewhere = in_doubles(somewhere)
-
-        def foresee_end() -> None:
-            uv = few.beside(somewhere, np.zeros((len(few.points), 2)))[2]
-            pulled(somewhere, uv, np.ones_like(few.points), names, few.points)
-
-        # What descents need is compiled beside what their ends need.
-        descents_foreseen = prepared(lambda: begun(problem(somewhere), somewhere))
-        end_foreseen = prepared(foresee_end)
+        descents_foreseen, end_foreseen, *_ = self.foresee(
+            request.template, request.free, request.pose
+        )
         given = request.template
         if request.begun is not None:
             given = frame.placed(given, request.begun)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar, cast
 
 import numpy as np
 from jaxtyping import Float
 
+from petalfit.compilation import prepared
 from petalfit.components import BladePetal, bare
-from petalfit.fitting.families.blade.start import BladeStart, blade_starts
+from petalfit.fitting.families.blade.start import BladeStart, blade_starts, compile_bending
 from petalfit.fitting.families.open_surface import CloudStart, OpenSurfaceFamily, turned_over
 from petalfit.fitting.solver.iterate import Iterate
 from petalfit.surfaces import AbstractSurface
@@ -44,6 +45,13 @@ class BladeFamily(OpenSurfaceFamily):
     ) -> Sequence[BladeStart]:
         found = blade_starts(cast(BladePetal, template), free, points, pose != "known")
         return [start.scaled("length", pose) for start in found]
+
+    def foresee(
+        self, template: AbstractSurface, free: tuple[str, ...], pose: str
+    ) -> tuple[Callable[[], None], ...]:
+        blade = cast(BladePetal, template)
+        others = super().foresee(template, free, pose)
+        return (*others, prepared(lambda: compile_bending(blade, free)))
 
     def followed(self, starts: Sequence[CloudStart]) -> Sequence[CloudStart]:
         """Both ends of a long blade; of one as wide as long, every direction."""

@@ -201,6 +201,15 @@ def _best_bending(data: _Bending) -> tuple[Array, Array]:
 _bend = Program(_best_bending)
 
 
+def compile_bending(template: BladePetal, free: tuple[str, ...]) -> None:
+    """Compiles the fit of the bending, by a blade that lies where it should."""
+    outline = {name: np.float64(getattr(template, name)) for name in OUTLINE if name in free}
+    blade = with_values(with_values(template, outline), {"length": 1.0})
+    flat, nowhere = np.zeros((_BENT, 2)), np.zeros((_BENT, 3))
+    held = np.ones(10), np.zeros(17)
+    _bend(_Bending(blade, np.eye(3), np.zeros(3), 1.0, flat, nowhere, *held))
+
+
 def _outline(q: Float[np.ndarray, " n"], s: Float[np.ndarray, " n"]) -> Float[np.ndarray, "6"]:
     """Width, position of the widest part, widths of the ends and tapers, from the widths of strips."""
     from scipy.optimize import least_squares
