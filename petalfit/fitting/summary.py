@@ -101,8 +101,8 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
         for part in agreements
     ]
     seen = _coverage(agreements, best.model) if finite else None
-    # Where a fit was stopped says nothing about the outline that it may have.
-    if seen is not None and request.is_one_cloud and best.moved <= verdict.SETTLED:
+    # Where a fit was stopped far from its end says nothing about the outline that it may have.
+    if seen is not None and request.is_one_cloud and best.moved <= verdict.NEARLY_SETTLED:
         pattern = verdict.systematic_rms(agreements[0], bare(best.model))
         misfits.append(
             verdict.misfit_of_outline(

@@ -140,20 +140,23 @@ def test_a_plus_is_no_blade(loss):
 
 
 @pytest.mark.parametrize(
-    ("outline", "crossed", "said"),
+    ("outline", "crossed", "in_space", "said"),
     [
-        (0.48, 0.02, ""),  # half of a petal
-        (0.15, 0.15, ""),  # a whole one that the model follows badly
-        (0.53, 0.04, "another shape"),  # an L
-        (0.25, 0.22, "beyond 22 % of it"),  # a square
+        (0.48, 0.02, True, ""),  # half of a petal
+        (0.15, 0.15, True, ""),  # a whole one that the model follows badly
+        (0.53, 0.04, True, "another shape"),  # an L
+        (0.25, 0.18, True, "beyond 18 % of it"),  # a square
+        (0.12, 0.22, True, "beyond 22 % of its outline"),  # another one
+        (0.55, 0.02, False, ""),  # a little less than half of a petal, whose pose is known
+        (0.62, 0.00, False, "another shape"),  # a square as its middle
     ],
 )
-def test_an_outline_that_is_not_the_petals(outline, crossed, said):
+def test_an_outline_that_is_not_the_petals(outline, crossed, in_space, said):
     part = Agreement(pf.PointCloud(flat_points(plus)), np.zeros(1500), np.ones(1500), 0.05)
     seen = Coverage(
         area=0.0, outline=outline, scattered=0.0, crossed=crossed, hole=0.0, loose=0.0, folded=0.0
     )
-    reason = misfit_of_outline(part, seen, 0.0, is_free=False, in_space=True)
+    reason = misfit_of_outline(part, seen, 0.0, is_free=False, in_space=in_space)
     assert said in reason
     assert bool(said) == bool(reason)
 
@@ -213,6 +216,16 @@ def test_a_fit_that_still_moves_is_less_sure(monkeypatch):
     assert 3 < len(both) < sum(ended.identifiable.values())
     factors = [result.stderr[n] / ended.stderr[n] for n in both]
     assert factors == pytest.approx(np.full(len(both), np.sqrt(50)), rel=0.1)
+
+
+@pytest.mark.parametrize(("moved", "status"), [(1.0, "misfit"), (7.0, "round_limit")])
+def test_an_end_that_hardly_moves_is_judged_by_its_outline(moved, status, monkeypatch):
+    def stopped(*args):
+        request, ends = run(*args)
+        return request, [dataclasses.replace(ends[0], moved=moved), *ends[1:]]
+
+    monkeypatch.setattr(fit, "run", stopped)
+    assert pf.fit_petal(flat_points(star), throw=False).status == status
 
 
 def test_what_eleven_points_determine_of_ten_parameters_is_true():

@@ -28,14 +28,14 @@ _STRAINED_MISFIT = 0.005
 _MISFIT_OF_OUTLINES = 0.01  # the same for contours of masks
 # Parts of the outline without points near it, from which the surface has another shape if that is said by
 # other signs too; if it happens in several places; and in any case.
-_BARE, _SCATTERED, _MOSTLY_BARE = 0.15, 0.08, 0.65
+_BARE, _SCATTERED, _MOSTLY_BARE = 0.15, 0.08, 0.6
 _WIDELY_BARE = 0.25  # the same if distances have a pattern, as they have on every real petal
 # The first in a fitted pose, where an L may seem to be half of a petal; half of a true one has 0.48.
 _BARE_ANYWHERE = 0.52
 _ELSEWHERE = 0.18  # the same if points go on beyond a tenth of the outline elsewhere
 # Parts of the outline where points go on beyond it, from which it has another shape if many points lie
 # beyond the whole surface too; and in any case.
-_CROSSED, _MOSTLY_CROSSED = 0.1, 0.3
+_CROSSED, _MOSTLY_CROSSED = 0.1, 0.2
 _HOLE = 0.35  # part of the surface in holes, from which the points are a ring
 # Parts of the outline beside the points, and of a surface that is folded, from which points that a
 # surface can follow anywhere are no sheet with one outline.
@@ -50,6 +50,8 @@ _MOSTLY_OUTLIERS = 0.6  # part of the points that may be outliers; above it noth
 # A fit counts as converged if its parameters still move by at most SETTLED standard errors, with a
 # warning if it is more than _FLIPS: points that jump between two folds may keep a fit moving for ever.
 SETTLED, _FLIPS = 0.5, 0.2
+# Parameters that still move by less than this leave an outline nearly where it is.
+NEARLY_SETTLED = 3.0
 
 
 def ending(best: Iterate, finite: bool, misfits: Sequence[str], outcome: str) -> tuple[Status, str]:
