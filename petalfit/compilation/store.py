@@ -74,7 +74,7 @@ class ExecutableStore:
                 known = self.folder is not None and _is_known(function, structure)
                 key = _key(function, structure, forms) if known else None
                 kept = None if key is None else self._load(key)
-                packed = kept or self._compile(key, function, structure, leaves)
+                packed = kept or self._compile(key, function, structure, forms, leaves)
                 self._loaded[like] = lambda *leaves: packed(*_packed(forms, leaves))
         return self._loaded[like]
 
@@ -90,10 +90,10 @@ class ExecutableStore:
         return None
 
     def _compile(
-        self, key: str | None, function: Callable, structure: Any, leaves: Sequence
+        self, key: str | None, function: Callable, structure: Any, forms: tuple, leaves: Sequence
     ) -> Callable:
         """Compiles a program, and saves it under its key if it has one."""
-        results, forms = [], _forms(leaves)
+        results = []
 
         # The program maps leaves to leaves: a model can be pickled, but the structure of one cannot.
         def flat(scalars: jax.Array, *others: object) -> list:

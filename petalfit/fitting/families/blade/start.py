@@ -203,6 +203,7 @@ _bend = Program(_best_bending)
 
 def compile_bending(template: BladePetal, free: tuple[str, ...]) -> None:
     """Compiles the fit of the bending, by a blade that lies where it should."""
+    # Programs depend on the types of leaves: the outline of a start is in doubles, its size in floats.
     outline = {name: np.float64(getattr(template, name)) for name in OUTLINE if name in free}
     blade = with_values(with_values(template, outline), {"length": 1.0})
     flat, nowhere = np.zeros((_BENT, 2)), np.zeros((_BENT, 3))
