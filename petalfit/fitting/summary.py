@@ -96,19 +96,8 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
     in_space = isinstance(source, Posed) and not in_image
     # In a fitted pose, a parameter at its bound is no sign that the model was bent to reach its target.
     strained = not in_space and any(identifiable[n] for w in bounds for n in w.parameters)
-    misfits = [
-        verdict.misfit_of(part, strained, request.noise, in_space, best.left_out)
-        for part in agreements
-    ]
     seen = _coverage(agreements, best.model) if finite else None
-    # Where a fit was stopped far from its end says nothing about the outline that it may have.
-    if seen is not None and request.is_one_cloud and best.moved <= verdict.NEARLY_SETTLED:
-        pattern = verdict.systematic_rms(agreements[0], bare(best.model))
-        misfits.append(
-            verdict.misfit_of_outline(
-                agreements[0], seen, pattern, not family.named_errors, in_space
-            )
-        )
+    misfits = _misfits(family, request, best, agreements, seen, strained)
     if any(misfits):
         # The errors belong to a petal that is not there.
         found, posterior, discrepancy = np.zeros(len(names), bool), None, None
@@ -239,6 +228,44 @@ def _agreements(targets: Sequence[AbstractObservation], best: Iterate) -> tuple[
         )
         for target, part in zip(targets, best.residuals, strict=True)
     )
+
+
+def _misfits(
+    family: AbstractFamily,
+    request: Request,
+    best: Iterate,
+    parts: Sequence[Agreement],
+    seen: Coverage | None,
+    strained: bool,
+) -> list[str]:
+    """The reasons why the targets are no petal of this model; "" where there is none.
+
+    Args:
+        family: The family of the model.
+        request: The request.
+        best: The best end.
+        parts: The targets with their distances from the model.
+        seen: The parts of the model without points near them; None if that cannot be told.
+        strained: Whether determined parameters ended at their bounds.
+    """
+    in_space = isinstance(best.model, Posed) and request.pose != "known"
+    misfits = [
+        verdict.misfit_of(part, strained, request.noise, in_space, best.left_out) for part in parts
+    ]
+    if seen is None or not request.is_one_cloud:
+        return misfits
+    (part,) = parts
+    # Where a fit was stopped far from its end says nothing about the outline that it may have.
+    if best.moved <= verdict.NEARLY_SETTLED:
+        pattern = verdict.systematic_rms(part, bare(best.model))
+        misfits.append(
+            verdict.misfit_of_outline(part, seen, pattern, not family.named_errors, in_space)
+        )
+        if family.is_petal:
+            misfits.append(verdict.misfit_of_bays(seen))
+    if family.is_petal and not any(misfits):
+        misfits.append(verdict.misfit_of_turns(request.cloud.points[part.used]))
+    return misfits
 
 
 def _coverage(parts: Sequence[Agreement], model: AbstractSurface) -> Coverage | None:

@@ -30,6 +30,25 @@ def random_petal(rng):
     )
 
 
+def random_blade(rng: np.random.Generator) -> pf.BladePetal:
+    """A blade with numbers spread over their typical ranges."""
+    return pf.BladePetal(
+        width=rng.uniform(0.3, 0.8),
+        widest=rng.uniform(0.35, 0.7),
+        base_width=rng.uniform(0.1, 0.5),
+        tip_width=rng.uniform(0.05, 0.3),
+        skew=rng.uniform(-0.2, 0.2),
+        bend=rng.uniform(-1.5, 1.5),
+        bend_shift=rng.uniform(-0.3, 0.3),
+        sickle=rng.uniform(-0.2, 0.2),
+        twist=rng.uniform(-0.3, 0.3),
+        cup_base=rng.uniform(0.0, 1.0),
+        cup_mid=rng.uniform(0.2, 1.0),
+        cup_tip=rng.uniform(0.0, 0.8),
+        margin_curl=rng.uniform(-0.3, 0.3),
+    )
+
+
 @jax.jit
 def _area_element(petal, u, v):
     return petal.area_element(u, v)

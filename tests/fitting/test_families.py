@@ -12,25 +12,9 @@ from petalfit.fitting.families.blade.family import BladeFamily
 from petalfit.fitting.request.configuration import configuration
 from petalfit.synthetic import random_petal
 
+from .conftest import random_blade
+
 PETALS = Path(__file__).parents[3] / "shared" / "data" / "petals"
-
-
-def random_blade(rng: np.random.Generator) -> pf.BladePetal:
-    return pf.BladePetal(
-        width=rng.uniform(0.3, 0.8),
-        widest=rng.uniform(0.35, 0.7),
-        base_width=rng.uniform(0.1, 0.5),
-        tip_width=rng.uniform(0.05, 0.3),
-        skew=rng.uniform(-0.2, 0.2),
-        bend=rng.uniform(-1.5, 1.5),
-        bend_shift=rng.uniform(-0.3, 0.3),
-        sickle=rng.uniform(-0.2, 0.2),
-        twist=rng.uniform(-0.3, 0.3),
-        cup_base=rng.uniform(0.0, 1.0),
-        cup_mid=rng.uniform(0.2, 1.0),
-        cup_tip=rng.uniform(0.0, 0.8),
-        margin_curl=rng.uniform(-0.3, 0.3),
-    )
 
 
 def random_sheet(rng: np.random.Generator) -> pf.SplinePetal:

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 from petalfit.components import Parameter
 from petalfit.fitting.inference.coverage import Coverage
+from petalfit.fitting.inference.turns import alone_when_turned
 from petalfit.fitting.likelihood.scales import spread_of
 from petalfit.fitting.solver.iterate import Iterate
 from petalfit.observations import Silhouette
@@ -33,13 +35,21 @@ _WIDELY_BARE = 0.25  # the same if distances have a pattern, as they have on eve
 # The first in a fitted pose, where an L may seem to be half of a petal; half of a true one has 0.48.
 _BARE_ANYWHERE = 0.52
 _ELSEWHERE = 0.18  # the same if points go on beyond a tenth of the outline elsewhere
+# The same if so much of the rest of it runs beside the points; of parts of true petals, at most 0.15
+# unless there are 100 points or fewer.
+_BESIDE = 0.17
 # Parts of the outline where points go on beyond it, from which it has another shape if many points lie
 # beyond the whole surface too; and in any case.
 _CROSSED, _MOSTLY_CROSSED = 0.1, 0.2
 _HOLE = 0.35  # part of the surface in holes, from which the points are a ring
-# Parts of the outline beside the points, and of a surface that is folded, from which points that a
-# surface can follow anywhere are no sheet with one outline.
-_LOOSE, _FOLDED = 0.12, 0.005
+# Part of a surface that can follow points anywhere, from which they are no single sheet: that of scanned
+# leaves is 0.008 folded by stray points, that of two crossed ones 0.01 to 0.02.
+_FOLDED = 0.009
+# Depth of a bay of the outline, relative to the length, from which it is no petal's: those of scanned
+# petals are 0.05 deep, that of a water lily's leaf 0.12.
+_BAY = 0.1
+# Part of the points that have none beside them after a turn, up to which the turned ones are the same.
+_SAME = 0.05
 # The other signs: part of the points that lie beyond this distance, and size of a pattern of distances,
 # both distances relative to the target's size.
 _SOME_BEYOND, _MANY_BEYOND, _BEYOND, _PATTERN = 0.01, 0.025, 0.01, 0.004
@@ -145,11 +155,6 @@ def misfit_of_outline(
             "no petal of this model fits: the surface has to fold back on itself to follow the points; "
             "they are no single sheet"
         )
-    if is_free and seen.loose > _LOOSE:
-        return (
-            f"no petal of this model fits: {100 * seen.loose:.0f} % of its outline runs beside the "
-            "points; theirs has bays that it cannot follow"
-        )
     if seen.outline > (_BARE_ANYWHERE if in_space else _MOSTLY_BARE):
         return f"{empty}; the points have another shape"
     if seen.scattered > _SCATTERED:
@@ -166,11 +171,39 @@ def misfit_of_outline(
             f"{empty}, and the points go on beyond {100 * seen.crossed:.0f} % of it; they have another "
             "outline"
         )
+    beside = seen.loose - seen.outline
+    if seen.outline > _WIDELY_BARE and beside > _BESIDE:
+        return f"{empty}, and {100 * beside:.0f} % more runs beside the points; they have another outline"
     if seen.outline > _BARE and beyond > _SOME_BEYOND:
         return f"{empty}, while {100 * beyond:.1f} % of the points lie beyond it"
     if seen.outline > _WIDELY_BARE and systematic > _PATTERN * size:
         return f"{empty}, and its distances from the points have a pattern; they have another shape"
     return ""
+
+
+def misfit_of_bays(seen: Coverage) -> str:
+    """The reason why a surface that follows the points is no petal, if it has a deep bay; else ""."""
+    if seen.bay <= _BAY:
+        return ""
+    return (
+        "no petal of this model fits: to follow the points, its outline has a bay that goes in by "
+        f"{100 * seen.bay:.0f} % of its length; they are of several petals, of a part of one, or of "
+        "another shape"
+    )
+
+
+def misfit_of_turns(points: Float[np.ndarray, "n 3"]) -> str:
+    """The reason why points are no petal's, if they are the same when they are turned; else "".
+
+    Args:
+        points: The points that belong to the surface.
+    """
+    if alone_when_turned(points) > _SAME:
+        return ""
+    return (
+        "no petal of this model fits: the points are the same after a third, a quarter or a fifth of a "
+        "turn, so that nothing tells base and tip from the sides"
+    )
 
 
 def _trimmed(part: Agreement) -> float:
