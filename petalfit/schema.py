@@ -30,6 +30,7 @@ Positive = Annotated[float, msgspec.Meta(gt=0, le=_MOST)]
 # Whole numbers that fit 64 bits with room to add to them.
 Count = Annotated[int, msgspec.Meta(ge=0, lt=2**53)]
 
+_LONGEST = 200  # characters of a value, or of its place, in an error
 _MANY = 300_000  # numbers; larger arrays are packed
 
 _WORDS = {
@@ -139,5 +140,11 @@ def _said(text: str) -> str:
     where = place.strip("`").removeprefix("$").lstrip(".").replace("[...]", "")
     what = re.sub(r"`float` [<>]= -?1\.79\S+", "a finite number", what)
     what = re.sub(r"`(\w+)`", lambda word: _WORDS.get(word[1], word[1]), what)
-    what = what[0].lower() + what[1:]
+    # A value that is not one of a few is repeated in whole, however long it is.
+    what, where = shortened(what[0].lower() + what[1:]), shortened(where)
     return f"in {where}, {what}" if where else what
+
+
+def shortened(text: str, most: int = _LONGEST) -> str:
+    """A text, or the beginning of a long one."""
+    return text if len(text) <= most else f"{text[:most]}…"

@@ -2,6 +2,7 @@
 
 import copy
 import json
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -74,7 +75,7 @@ def _change(tree: Any, rng: np.random.Generator) -> None:
         case 2:
             others = [*_members(tree)]
             holder[key] = copy.deepcopy(others[rng.integers(0, len(others))])
-        case 3 if isinstance(child, int | float):
+        case 3 if isinstance(child, int | float) and abs(child) <= sys.float_info.max:
             holder[key] = float(child) * float(rng.choice([-1, 0, 1e-30, 1e30, 1 + 1e-9]))
         case 4 if isinstance(holder, dict):
             holder[f"{key}</script><img src=x onerror=alert(1)>"] = holder.pop(key)

@@ -36,7 +36,7 @@ from petalfit.results.misfit import MisfitMap
 from petalfit.results.profile import Profile
 from petalfit.results.trait import Posterior, Trait, traits_of
 from petalfit.results.warning import FitWarning
-from petalfit.schema import SchemaError, encode
+from petalfit.schema import SchemaError, encode, shortened
 from petalfit.surfaces import AbstractSurface, Pose, moved
 from petalfit.version import VERSION as PETALFIT
 
@@ -201,8 +201,9 @@ class FitRecord(Estimate):
             raise TargetError(f"{name} is not a fit result; `petalfit fit` writes them.")
         if head.version not in READ:
             raise TargetError(
-                f"{name} has version {head.version} of the format, and this petalfit reads version "
-                f"{VERSION}. Fit the target again: {head.command or 'petalfit fit TARGET --out DIR'}"
+                f"{name} has version {shortened(str(head.version))} of the format, and this petalfit "
+                f"reads version {VERSION}. Fit the target again: "
+                f"{shortened(head.command or 'petalfit fit TARGET --out DIR', 800)}"
             )
         kind = model or models().get(head.model)
         if kind is None or kind.__name__ != head.model:

@@ -98,6 +98,7 @@ def test_fits_that_were_seen_to_break(path, tmp_path):
     [
         ({"status": 3}, "in status, expected text, got a whole number"),
         ({"status": "fine"}, "in status, invalid enum value 'fine'"),
+        ({"status": 5000 * "a"}, f"in status, invalid enum value '{180 * 'a'}…"),
         ({"stderr": {}}, "stderr does not have the names of the free parameters"),
         ({"covariance": [[1.0]]}, "the covariance does not have a row for each name"),
         ({"values": {}}, "values do not name the parameters of PeonyPetal"),
