@@ -248,7 +248,7 @@ def _misfits(
         seen: The parts of the model without points near them; None if that cannot be told.
         strained: Whether determined parameters ended at their bounds.
     """
-    in_space = isinstance(best.model, Posed) and request.pose != "known"
+    in_space = request.pose != "known"
     misfits = [
         verdict.misfit_of(part, strained, request.noise, in_space, best.left_out) for part in parts
     ]

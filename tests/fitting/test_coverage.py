@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import petalfit as pf
-from petalfit.fitting.inference.coverage import Coverage, Rim, _deepest_bay
+from petalfit.fitting.inference.coverage import Coverage, Rim, deepest_bay
 from petalfit.fitting.inference.turns import alone_when_turned
 from petalfit.fitting.inference.verdict import misfit_of_bays, misfit_of_outline, misfit_of_turns
 from petalfit.fitting.outliers.local_planes import on_sheets
@@ -205,7 +205,7 @@ def test_a_bay_is_as_deep_as_its_notch(bend, depth):
         grid = np.stack([np.sin(bend * x) / bend, y, (1 - np.cos(bend * x)) / bend], axis=-1)
     # Ways around the bottom of a deep notch are longer than straight ones, so that it seems less deep.
     exact = depth / np.hypot(2, 3)
-    assert _deepest_bay(grid) == pytest.approx(exact - exact**2, abs=0.015)
+    assert deepest_bay(grid) == pytest.approx(exact - exact**2, abs=0.015)
 
 
 def crescent(radius, angle):

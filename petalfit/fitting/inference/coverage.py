@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import label
 from scipy.spatial import KDTree
 
-from petalfit.fitting.likelihood.quadrature import SHAPE, Quadrature, normals_around
+from petalfit.fitting.likelihood.quadrature import SHAPE, Quadrature, around, normals_around
 from petalfit.fitting.likelihood.scales import spacing
 from petalfit.fitting.starts.flatten import flat_outline
 from petalfit.surfaces import AbstractSurface
@@ -74,12 +74,12 @@ class Coverage(NamedTuple):
             return cls(area, 0.0, 0.0, 0.0, 0.0, 0.0, folded, 0.0)
         hole = float(np.sum(shares[bare & ~reached_from_the_edge(bare)]))
         rim = Rim.of(grid)
-        stretches = sorted(rim.stretches(_around(bare)))
+        stretches = sorted(rim.stretches(around(bare)))
         outline, scattered = sum(stretches), sum(stretches[:-2])
         away = np.asarray(tree.query(rim.places + _BEYOND * side * rim.conormals)[0])
         crossed = float(np.sum(rim.shares[away < _NEAR * side]))
-        loose = float(np.sum(rim.shares[_around(gap) > _LOOSE * side]))
-        return cls(area, outline, scattered, crossed, hole, loose, folded, _deepest_bay(grid))
+        loose = float(np.sum(rim.shares[around(gap) > _LOOSE * side]))
+        return cls(area, outline, scattered, crossed, hole, loose, folded, deepest_bay(grid))
 
 
 class Rim(NamedTuple):
@@ -101,9 +101,9 @@ class Rim(NamedTuple):
         inside = grid.copy()
         inside[:, 0], inside[:, -1] = grid[:, 1], grid[:, -2]
         inside[0], inside[-1] = grid[1], grid[-2]
-        places = _around(grid)
+        places = around(grid)
         before, after = np.roll(places, 1, axis=0), np.roll(places, -1, axis=0)
-        along, out = _unit(after - before), places - _around(inside)
+        along, out = _unit(after - before), places - around(inside)
         out = _unit(out - np.sum(out * along, axis=-1, keepdims=True) * along)
         steps = np.linalg.norm(places - before, axis=-1)
         length = max(float(np.sum(steps)), 1e-300)
@@ -139,7 +139,7 @@ def _folded(grid: Float[np.ndarray, "n_u n_v 3"], shares: Float[np.ndarray, "n_u
     return folded
 
 
-def _deepest_bay(grid: Float[np.ndarray, "n_u n_v 3"]) -> float:
+def deepest_bay(grid: Float[np.ndarray, "n_u n_v 3"]) -> float:
     """How deep an outline goes in between two of its points, as a part of its greatest length."""
     outline = flat_outline(grid[::2, ::2])  # which changes a depth by 0.01 at most
     angle = 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
@@ -147,11 +147,6 @@ def _deepest_bay(grid: Float[np.ndarray, "n_u n_v 3"]) -> float:
     farthest = along.max(axis=0)
     length = float(np.max(farthest + np.roll(farthest, _DIRECTIONS // 2)))
     return float(np.max(np.min(farthest - along, axis=1))) / max(length, 1e-300)
-
-
-def _around(grid: np.ndarray) -> np.ndarray:
-    """The values at the nodes along the four sides of a grid, once around."""
-    return np.concatenate([grid[:-1, 0], grid[-1, :-1], grid[:0:-1, -1], grid[0, :0:-1]])
 
 
 def _unit(vectors: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "m 3"]:

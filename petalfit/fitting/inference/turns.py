@@ -7,11 +7,8 @@ from jaxtyping import Float
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-_TURNS = (
-    3,
-    4,
-    5,
-)  # parts of a full turn; the half is left out, since a leaf may have two ends alike
+# Parts of a full turn; the half is left out, since a leaf may have two ends alike.
+_TURNS = (3, 4, 5)
 _FEWEST = 250  # points, below which their gaps are as wide as the differences that are looked for
 _MOST = 1000  # points that are turned
 _ALIKE = 0.2  # of two variances, the greatest difference relative to their sum

@@ -33,6 +33,11 @@ class Quadrature(NamedTuple):
         return cls(nodes, areas_around(nodes.reshape(*SHAPE, 3)))
 
 
+def around(grid: np.ndarray) -> np.ndarray:
+    """The values at the nodes along the four sides of a grid, once around."""
+    return np.concatenate([grid[:-1, 0], grid[-1, :-1], grid[:0:-1, -1], grid[0, :0:-1]])
+
+
 def areas_around(grid: Float[np.ndarray, "n_u n_v 3"]) -> Float[np.ndarray, "n_u n_v"]:
     """The area of a surface around each node of a grid on it."""
     return np.linalg.norm(normals_around(grid), axis=-1)

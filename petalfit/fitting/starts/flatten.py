@@ -10,6 +10,8 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import KDTree
 
+from petalfit.fitting.likelihood.quadrature import around
+
 _NEIGHBOURS = 10
 _LANDMARKS = 150
 # Steps from a node of a grid to its neighbours; with those the other way, sixteen of them.
@@ -46,7 +48,7 @@ def flat_outline(grid: Float[np.ndarray, "n_u n_v 3"]) -> Float[np.ndarray, "m 2
         Places in the plane of the nodes along the four sides, once around.
     """
     number = np.arange(grid.shape[0] * grid.shape[1]).reshape(grid.shape[:2])
-    rim = np.concatenate([number[:-1, 0], number[-1, :-1], number[:0:-1, -1], number[0, :0:-1]])
+    rim = around(number)
     ways = dijkstra(_neighbours_in(grid, number), directed=False, indices=rim)
     return _scaled(ways[:, rim], np.arange(len(rim)))
 
@@ -75,9 +77,7 @@ def _neighbours_in(
         rows.append(number[here].ravel())
         columns.append(number[there].ravel())
         gaps.append(np.linalg.norm(grid[here] - grid[there], axis=-1).ravel())
-    # An edge without length would not be stored.
-    lengths = np.maximum(np.concatenate(gaps), 1e-300)
-    edges = (lengths, (np.concatenate(rows), np.concatenate(columns)))
+    edges = (np.concatenate(gaps), (np.concatenate(rows), np.concatenate(columns)))
     return csr_array(coo_array(edges, (number.size, number.size)))
 
 
