@@ -92,7 +92,8 @@ BaseOption = Annotated[
         name="base",
         metavar="X,Y,Z",
         help="A point near the base, in the frame of the cloud, or `other`: the end that the fit would "
-        "take for the tip. For blades with --pose rigid or similarity, whose ends may look alike.",
+        "take for the tip. For blades with --pose rigid or similarity, whose ends may look alike. In a "
+        "mask without a camera it is a place X,Y in pixels.",
     ),
 ]
 EveryPoint = Annotated[
@@ -224,9 +225,9 @@ def _base(text: str | None) -> Any:
     if text is None or text == "other":
         return text
     try:
-        x, y, z = map(float, text.split(","))
+        place = tuple(map(float, text.split(",")))
     except ValueError:
         raise CommandError(
             f"--base {text} is no place; write --base 0.5,0,-2, or --base other."
         ) from None
-    return x, y, z
+    return place

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from types import ModuleType
 from typing import Any, ClassVar
 
@@ -134,6 +135,21 @@ class BladePetal(AbstractDeformedSurface):
         if self.relief:
             return super().position(u, v)
         return bent(self, u, v)
+
+    def reversed(self) -> BladePetal:
+        """The blade with base and tip exchanged; of a flat blade, turned by π, the outline remains."""
+        exchanged = {
+            "widest": 1 - self.widest,
+            "base_width": self.tip_width,
+            "tip_width": self.base_width,
+            "base_taper": self.tip_taper,
+            "tip_taper": self.base_taper,
+            "tip_edge": self.base_edge,
+            "base_edge": self.tip_edge,
+            "skew": -self.skew,
+            "sickle": -self.sickle,
+        }
+        return dataclasses.replace(self, **exchanged)
 
     def turned_over(self) -> BladePetal:
         """The blade with its upper side down: turned by π about y, it is the original blade again."""

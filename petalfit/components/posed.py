@@ -58,7 +58,7 @@ class Posed(AbstractCarrier):
     turn_z: Scalar = _turn("z")
     model_field: ClassVar[str] = "surface"
     # The parameters that are free in an image of unknown place and scale, and those free in space.
-    in_image: ClassVar[tuple[str, ...]] = ("scale", "shift_x", "shift_y")
+    in_image: ClassVar[tuple[str, ...]] = ("scale", "shift_x", "shift_y", "turn_z")
     rigid: ClassVar[tuple[str, ...]] = (
         "shift_x",
         "shift_y",

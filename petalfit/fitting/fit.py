@@ -25,7 +25,7 @@ from petalfit.fitting.outliers.registry import loss_named
 from petalfit.fitting.request import checks
 from petalfit.fitting.request.configuration import Fittable, configuration, inside_ranges
 from petalfit.fitting.request.request import Request
-from petalfit.fitting.request.targets import as_targets, with_noise_of_points
+from petalfit.fitting.request.targets import as_targets, is_one_image, with_noise_of_points
 from petalfit.fitting.result import FitResult
 from petalfit.fitting.run import run
 from petalfit.fitting.solver.observer import prefixed, report, reporting_to
@@ -40,7 +40,7 @@ from petalfit.observations import (
     Texture,
     as_point_cloud,
 )
-from petalfit.surfaces import AbstractSurface
+from petalfit.surfaces import AbstractSurface, Pose
 
 Noise = float | Sequence[float] | Float[np.ndarray, " n"] | None
 Base = str | Sequence[float | int] | Real[np.ndarray, " n"] | None
@@ -117,11 +117,11 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
             redundant keep their values: c_z of a PeonyPetal, and with "similarity" length of a
             BladePetal.
         camera: The camera of all masks that are not a `Silhouette` with its own. A single mask may have
-            no camera: it is then taken for an orthographic front view of unknown scale and position, the
-            lengths are relative, and the result's pose maps the model to pixels.
+            no camera: it is then taken for an orthographic front view, anywhere in the image and turned
+            there; the lengths are relative, and the result's pose maps the model to pixels.
         free: Names of the parameters to fit; by default all that the model does not declare fixed.
-        init: An instance to start from; for a cloud in a fitted pose, an earlier result, whose pose is
-            then the start too. Without it the fit finds its own start.
+        init: An instance to start from; for a cloud in a fitted pose, or a mask without a camera, an
+            earlier result, whose pose is then the start too. Without it the fit finds its own start.
         noise: Standard deviation σ of the clouds' noise, in their unit; estimated if None. An array of
             shape (N,) has one σ for each point of a single cloud. For silhouettes σ is always estimated.
         loss: "linear": least squares, right for noise without gross outliers. "robust": points may
@@ -131,7 +131,8 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
         seed: The seed of random choices; the result hardly depends on it.
         base: Which end of a blade is its base, if its pose is fitted: a point near it, in the cloud's
             frame, or "other", the end that the fit would take for the tip. Without it, the end for which
-            the blade fits better.
+            the blade fits better. In a mask without a camera it is a place (x, y) in pixels; without it,
+            the lower end, unless the other one fits clearly better.
         every_point: Whether every step takes every point of a cloud. Otherwise a large cloud is condensed
             for all steps but the last look at it, which is faster and changes no parameter by more than
             a fraction of its error; `points_used` of the result has the numbers.
@@ -150,11 +151,9 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
         TargetError: The target cannot be used, or the options do not fit the model.
         FitError: The solver failed, and `throw` is True.
     """
-    begun = None
+    earlier = init if isinstance(init, FitResult) else None
     if isinstance(init, FitResult):
-        begun, init = (None if pose == "known" else init.pose), inside_ranges(init.model)
-        if begun is not None and base is not None:
-            raise TargetError("the pose of init says where the base is; leave base out.")
+        init = inside_ranges(init.model)
     check_request(
         model,
         pose=pose,
@@ -199,16 +198,18 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
                 "noise": sigma,
                 "seed": seed,
                 "every_point": every_point,
-                "begun": begun,
+                "begun": _begun(earlier, pose, targets),
             }
             if pose != "known" and init is None:
                 targets = _petal_alone(model, targets, asked["loss"])
-            alone = {"base": base is not None, "every_point": every_point}
-            for name, given in alone.items():
-                if given and (len(targets) > 1 or targets[0].kind != "cloud"):
-                    raise TargetError(
-                        f"{name} is there for one cloud; leave it out for masks and joint fits."
-                    )
+            if every_point and (len(targets) > 1 or targets[0].kind != "cloud"):
+                raise TargetError(
+                    "every_point is there for one cloud; leave it out for masks and joint fits."
+                )
+            if base is not None:
+                checks.check_base(checks.valid_base(base), pose, targets)
+                if asked["begun"] is not None:
+                    raise TargetError("the pose of init says where the base is; leave base out.")
             if isinstance(model, str):
                 result = _fit_best(targets, asked)
             elif isinstance(base, str):
@@ -247,10 +248,6 @@ def check_request(
     loss_named(loss)
     checks.valid_noise(noise)
     checks.valid_base(base)
-    if base is not None and pose == "known":
-        raise TargetError(
-            "with pose='known' the model's frame says where the base is; leave base out, or fit the pose."
-        )
     if isinstance(model, str):
         unused = {"base": base is not None, "every_point": every_point}
         checks.refuse("the best of all families", [name for name, given in unused.items() if given])
@@ -267,18 +264,31 @@ def check_request(
         checks.check_used(family_of(template), names)  # pyright: ignore[reportArgumentType]
 
 
-def tip_of(result: FitResult) -> tuple[float, float, float]:
-    """The place in the target's frame that a fit takes for the tip: in the middle of the upper v side."""
+def tip_of(result: FitResult) -> tuple[float, ...]:
+    """The place in the target's frame that a fit takes for the tip: in the middle of the upper v side.
+
+    In an image it is (x, y) in pixels, else (x, y, z).
+    """
     (u_low, u_high), (_, v_high) = result.model.domain
     tip = np.asarray(result.model(0.5 * (u_low + u_high), v_high), np.float64)
-    x, y, z = result.pose(tip[None])[0].tolist()
-    return x, y, z
+    place = result.pose(tip[None])[0].tolist()
+    return tuple(place[:2] if result.in_image else place)
 
 
 def is_pattern(model: object) -> bool:
     """Whether a model is a pattern of colours, rather than a component or a word."""
     kind = model if inspect.isclass(model) else type(model)
     return issubclass(kind, AbstractPattern)
+
+
+def _begun(
+    earlier: FitResult | None, pose: str, targets: Sequence[AbstractObservation]
+) -> Pose | None:
+    """The pose of an earlier result, if a fit in its target's frame or image may begin there."""
+    if earlier is None:
+        return None
+    in_image = is_one_image(targets)
+    return earlier.pose if in_image == earlier.in_image and (in_image or pose != "known") else None
 
 
 def _fit_component(

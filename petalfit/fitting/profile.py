@@ -71,7 +71,7 @@ def profile_of(
                     free=rest,
                     targets=tuple(part.target.counting(part.weights) for part in result.agreements),
                     from_template=True,
-                    placed=result.values if result.in_image else {},
+                    begun=result.pose if result.in_image else None,
                     ends_only=True,
                 )
                 _, ends = run(family_of(model), request)
@@ -88,16 +88,39 @@ def _adjusted(
 
     Distances of a contour are correlated, so that their sum of squares is no χ², and pixels shift its
     minimum; the fitted value has this bias removed (Chandler and Bate, 2007,
-    doi:10.1093/biomet/asm015).
+    doi:10.1093/biomet/asm015). Pixels make it uneven too, so that near the minimum the smooth curve
+    through it counts.
     """
     error = result.stderr[name]
     if not np.isfinite(error) or all(part.unit == "length" for part in result.agreements):
         return values, cost
     near = cost <= max(_NEAR, np.sort(cost)[4])
-    curvature, slope, _ = np.polyfit(values[near] - result.values[name], cost[near], 2)
-    if not curvature > 0:
+    away = values - result.values[name]
+    found = _smooth(away[near], cost[near])
+    if found is None:
         return values, cost
-    return values + 0.5 * slope / curvature, cost / (curvature * error**2)
+    curve, bottom = found
+    curvature = 0.5 * float(curve.deriv(2)(bottom))
+    cost = np.where(near, curve(away) - curve(bottom), cost - curve(bottom))
+    return values - bottom, np.maximum(cost, 0.0) / (curvature * error**2)
+
+
+def _smooth(x: np.ndarray, cost: np.ndarray) -> tuple[np.polynomial.Polynomial, float] | None:
+    """The smooth curve through a profile near its minimum, and the place of that; None if it has none.
+
+    It is of the third degree, or of the second if that one has no minimum or turns down at one side.
+    """
+    low, high = float(x.min()), float(x.max())
+    for degree in (3, 2):
+        if len(x) < 2 * degree - 1:
+            continue
+        curve = np.polynomial.Polynomial.fit(x, cost, degree).convert()
+        turns = [float(t.real) for t in curve.deriv().roots() if abs(t.imag) < 1e-12]
+        bottoms = [t for t in turns if curve.deriv(2)(t) > 0 and low - x.std() < t < high + x.std()]
+        tops = [t for t in turns if t not in bottoms and low < t < high]
+        if bottoms and not tops:
+            return curve, bottoms[0]
+    return None
 
 
 def _cost(end: Iterate) -> float:

@@ -6,11 +6,10 @@ import dataclasses
 
 import jax
 
-from petalfit.components import Posed
 from petalfit.fitting.families.family import AbstractFamily
 from petalfit.fitting.request.checks import check_count, check_frame, check_view, check_weights
 from petalfit.fitting.request.request import Request
-from petalfit.fitting.silhouettes.anywhere import fit_views_anywhere, in_image
+from petalfit.fitting.silhouettes.anywhere import fit_in_image, fit_views_anywhere
 from petalfit.fitting.silhouettes.joint import fit_joint
 from petalfit.fitting.solver.iterate import Iterate
 from petalfit.observations import Contour, PointCloud, Silhouette, TargetError
@@ -54,9 +53,8 @@ def run(family: AbstractFamily, request: Request) -> tuple[Request, list[Iterate
                     "a mask without a camera can only be fitted alone: where the petal lies in its image "
                     "is not known. Give the camera of every mask."
                 )
-            placed = in_image(request.template, contours[0], request.placed)
-            names = (*request.free, *Posed.in_image)
-            request = dataclasses.replace(request, template=placed, free=names)
+            request = dataclasses.replace(request, free=family.free_in_image(request.free))
+            return request, fit_in_image(family, request, contours[0])
         for contour in contours:
             check_view(contour, request.template)
         return request, fit_joint(family, request)

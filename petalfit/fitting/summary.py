@@ -30,6 +30,7 @@ from petalfit.fitting.inference.identifiability import (
 from petalfit.fitting.inference.linear_rows import may_have_misfit, rows_of
 from petalfit.fitting.request.request import Request
 from petalfit.fitting.result import FitResult
+from petalfit.fitting.silhouettes.view_pose import turn_in_image, wrapped
 from petalfit.fitting.solver.iterate import Iterate
 from petalfit.observations import AbstractObservation, PointCloud
 from petalfit.results import (
@@ -53,6 +54,8 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
             its template if the best end is not finite.
         ends: The end of each start, the best first, with residuals in the order of the targets.
     """
+    if request.is_one_image:
+        ends = [ends[0], *(_seen_from(end, ends[0].model) for end in ends[1:])]
     best, template = ends[0], request.template
     names = request.free if family.named_errors else ()
     declared = _declared(best.model if family.named_errors else bare(template), names)
@@ -70,7 +73,8 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
     matrix, found = np.full((len(names), len(names)), np.inf), np.zeros(len(names), bool)
     by_noise, posterior, discrepancy = matrix, None, None
     if finite and names:
-        found = known(ends, names, declared, family.hidden_from(request))
+        judged = _same_way(ends) if request.is_one_image else ends
+        found = known(judged, names, declared, family.hidden_from(request))
         added = None
         suspect = request.is_one_cloud and may_have_misfit(best, len(names))
         turned = request.is_one_cloud and request.pose != "known"
@@ -108,6 +112,15 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
         # The poses of all ends are compared in the frame of the best one.
         ends = [best, *(_seen_from(end, best.model) for end in ends[1:])]
     starts = _starts(ends, names) if names else ()
+    if isinstance(source, Posed) and in_image:
+        factors = np.array([_image_unit(name, source) for name in names])
+        matrix = by_noise = matrix * np.outer(factors, factors)
+        values = values | _in_image(source)
+        starts = tuple(
+            dataclasses.replace(start, values=start.values | _in_image(end.model, source))
+            for start, end in zip(starts, ends, strict=True)
+            if isinstance(end.model, Posed)
+        )
     warnings = [
         *verdict.about_targets(agreements),
         *(verdict.flips(best) if finite else []),
@@ -149,8 +162,6 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
     elif isinstance(source, Posed):
         pose = source.placement
         warnings.append(_relative(pose))
-        values, matrix = _in_pixels(source, names, values, matrix)
-        by_noise = matrix
     model = bare(source)
     for name in parameters(model):
         model = with_value(model, name, values[name])
@@ -276,9 +287,10 @@ def _coverage(parts: Sequence[Agreement], model: AbstractSurface) -> Coverage | 
     return Coverage.of(model, np.concatenate(points))
 
 
-def _seen_from(end: Iterate, posed: Posed) -> Iterate:
+def _seen_from(end: Iterate, posed: AbstractSurface) -> Iterate:
     """An end with its pose relative to that of another model."""
     assert isinstance(end.model, Posed)
+    assert isinstance(posed, Posed)
     return dataclasses.replace(end, model=end.model.seen_from(posed))
 
 
@@ -327,13 +339,41 @@ def _relative(pose: Pose) -> FitWarning:
     return FitWarning(text, WarningKind.RELATIVE_LENGTHS)
 
 
-def _in_pixels(
-    posed: Posed, names: tuple[str, ...], values: dict[str, float], matrix: np.ndarray
-) -> tuple[dict[str, float], np.ndarray]:
-    """Values and covariance with scale in pixels a unit and shifts in pixels, not in `Posed`'s units."""
+def _image_unit(name: str, posed: Posed) -> float:
+    """The factor from a parameter's own unit to that of the result of a fit in an image."""
+    in_pixels = name in Posed.in_image and not name.startswith("turn")
+    return float(posed.unit) if in_pixels else 1.0
+
+
+def _in_image(posed: Posed, other: Posed | None = None) -> dict[str, float]:
+    """The place in an image: the scale in pixels a unit, shifts in pixels, and the turn from upright.
+
+    Args:
+        posed: A component that is seen from the front.
+        other: Another one, from whose turn the turn differs by at most π; None for a turn of at most π.
+    """
     placed = posed.placement
-    unit = float(posed.unit)
-    factors = np.array([unit if name in Posed.in_image else 1.0 for name in names])
     right, down, _ = map(float, placed.translation)
-    pixels = {"scale": float(placed.scale), "shift_x": right, "shift_y": down}
-    return values | pixels, matrix * np.outer(factors, factors)
+    turn = turn_in_image(posed)
+    if other is not None:
+        near = turn_in_image(other)
+        turn = near + wrapped(turn - near)
+    return {"scale": float(placed.scale), "shift_x": right, "shift_y": down, "turn_z": turn}
+
+
+def _same_way(ends: Sequence[Iterate]) -> list[Iterate]:
+    """Of ends in an image, those of the same quarter as the first; else all.
+
+    Which end of an outline is the base is decided by rule, so that its other way round is a rival, and no
+    doubt about the values.
+    """
+    first = ends[0].model
+    if not isinstance(first, Posed):
+        return list(ends)
+    turn = turn_in_image(first)
+    return [
+        end
+        for end in ends
+        if isinstance(end.model, Posed)
+        and abs(wrapped(turn_in_image(end.model) - turn)) < 0.25 * math.pi
+    ]

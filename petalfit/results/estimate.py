@@ -31,7 +31,8 @@ class Start:
         label: A name that distinguishes the start, such as "rib_frequency 19.8".
         values: Values of the free parameters at its end.
         rms: Root mean square distance at its end, in the target's unit.
-        delta_chi2: Difference of its χ² from that of the best end; 0 for the best.
+        delta_chi2: Difference of its χ² from that of the answer. In an image it is negative where the
+            other way round fits slightly better, but has the base above the tip.
     """
 
     label: str

@@ -15,7 +15,7 @@ class Profile:
 
     Attributes:
         values: Values at which the parameter was held, ascending.
-        delta_chi2: Difference of χ² at each value from the least χ² of all.
+        delta_chi2: Difference of χ² at each value from the least χ², for masks that of a smooth curve.
     """
 
     values: tuple[float, ...]

@@ -70,7 +70,8 @@ class FitRecord(Estimate):
         points_used: The number of points that each stage of the fit to a large cloud used; empty if all
             stages used all points. Residuals, and what follows from them, are those of all points.
         in_image: Whether a mask without a camera was fitted. The values then include the place in the
-            image: scale, in pixels a unit, and shift_x and shift_y, in pixels.
+            image: scale, in pixels a unit, shift_x and shift_y, in pixels, and turn_z, in rad
+            counterclockwise, 0 if y is up.
         made_by: The version of petalfit that made the result.
         command: The command line that made the result; empty if none did.
     """
@@ -155,10 +156,12 @@ class FitRecord(Estimate):
                 "scale": (0.3 * scale, 3 * scale),
                 "shift_x": (0.0, width),
                 "shift_y": (0.0, height),
+                "turn_z": (-np.pi, np.pi),
             }
             own = parameters(Posed)
             for name in Posed.in_image:
-                found[name] = dataclasses.replace(own[name], unit="px", typical=typical[name])
+                unit = own[name].unit if name == "turn_z" else "px"
+                found[name] = dataclasses.replace(own[name], unit=unit, typical=typical[name])
         return found
 
     def ranked(self: Record, ranking: tuple[Rank, ...]) -> Record:

@@ -166,7 +166,7 @@ class PetalPage:
         assert self._result is not None, "the button shows with a result"
         self._fit(base=tip_of(self._result))
 
-    def _fit(self, base: tuple[float, float, float] | None = None) -> None:
+    def _fit(self, base: tuple[float, ...] | None = None) -> None:
         if self._session.busy and self._result is None:
             raise TargetError("a fit is running; wait for it, or cancel it first.")
         target = self._target
@@ -276,7 +276,8 @@ class PetalPage:
         self._controls.start.value = FITTED
         self._controls.found.visible = self._controls.numbers.visible = True
         # An end that is the base by mistake can be the tip only where the pose was fitted.
-        may_turn = "base" in family_of(result.model).takes and result.pose_stderr
+        fitted = bool(result.pose_stderr) or result.in_image
+        may_turn = "base" in family_of(result.model).takes and fitted
         self._controls.turn.visible = bool(may_turn)
         self._add_sliders(result.model)
         self._add_rounds()

@@ -57,7 +57,7 @@ def test_the_other_end(scan, told):
     assert np.linalg.norm(base_of(other) - tip_of(usual)) < 0.1 * np.linalg.norm(tip - base)
 
 
-@pytest.mark.parametrize("base", ["tip", (1.0, 2.0), (0.0, np.nan, 1.0), "1,2,3"])
+@pytest.mark.parametrize("base", ["tip", (1.0,), (0.0, np.nan, 1.0), "1,2,3"])
 def test_what_is_no_place_is_refused(scan, base):
     with pytest.raises(ValueError, match="base must be a point"):
         fitted(scan[0], base=base)
@@ -71,12 +71,15 @@ def test_where_it_has_no_use_it_is_refused(scan):
         pf.fit(pf.PeonyPetal, points, pose="similarity", base=(0, 0, 0))
     with pytest.raises(pf.TargetError, match="does not use base"):
         pf.fit("auto", points, pose="similarity", base="other")
+    with pytest.raises(pf.TargetError, match=r"a point \(x, y, z\) in a cloud; received 2 numbers"):
+        pf.fit(pf.BladePetal, points, pose="similarity", base=(1.0, 2.0))
     with pytest.raises(pf.TargetError, match="for one cloud"):
         pf.fit(pf.BladePetal, [points, points], pose="similarity", base="other")
 
 
 def test_words_of_the_command():
     assert _base("1,-2,0.5") == (1.0, -2.0, 0.5)
+    assert _base("80,12.5") == (80.0, 12.5)
     assert _base("other") == "other"
     assert _base(None) is None
     with pytest.raises(CommandError, match="is no place"):

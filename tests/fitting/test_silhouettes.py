@@ -254,7 +254,7 @@ def test_a_profile_agrees_with_the_interval_and_is_saved(tmp_path):
     petal = random_petal(np.random.default_rng(2))
     result = pf.fit_petal(masked(petal, view(petal, OBLIQUE))).with_profile("dx", points=7)
     profile = result.profiles["dx"]
-    assert min(profile.delta_chi2) == 0
+    assert 0 <= min(profile.delta_chi2) < 0.8
     for ours, theirs in zip(profile.interval(), result.interval()["dx"], strict=True):
         assert ours == pytest.approx(theirs, abs=2 * result.stderr["dx"])
     assert profile.interval()[0] < result.values["dx"] < profile.interval()[1]

@@ -33,6 +33,8 @@ class AbstractFamily(abc.ABC):
         sees_outlines: Whether its models can be fitted to silhouettes, and to several targets jointly.
         finds_outliers: Whether its fits accept a loss that allows for outliers.
         named_errors: Whether its parameters are free, and have errors.
+        late: Names of the parameters that follow outlines only once the others nearly do: a search for
+            starts among outlines keeps the template's values.
         depth: Names of the parameters that bend its models out of a plane. A single outline, seen from an
             unknown side, hardly shows them: they keep the template's values, and are not determined.
     """
@@ -46,6 +48,7 @@ class AbstractFamily(abc.ABC):
     sees_outlines: ClassVar[bool] = True
     finds_outliers: ClassVar[bool] = True
     named_errors: ClassVar[bool] = True
+    late: ClassVar[tuple[str, ...]] = ()
     depth: ClassVar[tuple[str, ...]] = ()
 
     @abc.abstractmethod
@@ -67,6 +70,11 @@ class AbstractFamily(abc.ABC):
         """Names that are free in a pose: the parameters that it does not make redundant, and its own."""
         redundant = self.gauges.get(pose, ())
         return (*(name for name in free if name not in redundant), *Posed.free_in(pose))
+
+    def free_in_image(self, free: tuple[str, ...]) -> tuple[str, ...]:
+        """Names that are free in an image of unknown scale, where the same are redundant as in space."""
+        redundant = self.gauges.get("similarity", ())
+        return (*(name for name in free if name not in redundant), *Posed.in_image)
 
     def foresee(
         self, template: AbstractSurface, free: tuple[str, ...], pose: str
@@ -114,6 +122,15 @@ class AbstractFamily(abc.ABC):
         """
         del coordinates, rough, clouds, views
         yield from ()
+
+    def the_other_way(self, posed: Posed) -> Posed | None:
+        """A model with nearly the same outline, with its tip where the base was; None if there is none.
+
+        Args:
+            posed: A model that is seen from the front in an image.
+        """
+        del posed
+        return None
 
     def outcome(self, end: Iterate) -> str:
         """The sentence by which a converged fit describes its end."""

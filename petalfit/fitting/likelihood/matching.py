@@ -31,6 +31,9 @@ _LONGEST = 24
 _TIMES = (0.7, 20.0)
 # A contour is never taken to be known better than this, in pixels, whatever the residuals are.
 _FINEST = 0.02
+# The cosine of the angle up to which the normals of a contour are those of an outline but for the steps
+# of pixels.
+_ALIKE = 0.7
 _THIN = 1.5  # pixels; a thinner part of the model leaves no trace in a mask
 
 
@@ -40,8 +43,8 @@ class Match(NamedTuple):
     Attributes:
         uv: The place on the surface, shape (n, 2).
         seen: The same place in the image, on the outline, shape (n, 2).
-        normal: The normal of the outline in pairs from contour to outline, of the contour in the others;
-            shape (n, 2).
+        normal: The normal of the outline there, shape (n, 2). That of the contour is no direction to
+            measure in: it follows the steps of the pixels.
         place: The place on the contour, shape (n, 2).
         length: The length of contour or outline that a pair stands for, times its weight; shape (n,).
         forward: Whether a pair was searched for from the contour, shape (n,).
@@ -166,10 +169,13 @@ class MatchedOutline:
         _, back = view.tree.query(self.tree.data[some])
         share = len(seen.place) / len(some)
         trust = np.where(self.thin, 0.0, contour.trust(seen.place[some]))
+        own, theirs = seen.normal[some], contour.normal[back]
+        alike = np.sum(own * theirs, axis=-1, keepdims=True) > _ALIKE
+        across = np.where(alike, own, theirs)
         return Match(
             np.concatenate([seen.uv[forth], seen.uv[some]]),
             np.concatenate([seen.place[forth], seen.place[some]]),
-            np.concatenate([seen.normal[forth], contour.normal[back]]),
+            np.concatenate([seen.normal[forth], across]),
             np.concatenate([contour.place, contour.place[back]]),
             np.concatenate([contour.length, share * seen.length[some] * trust]),
             np.arange(len(forth) + len(some)) < len(forth),

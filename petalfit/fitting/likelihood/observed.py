@@ -23,7 +23,7 @@ class ScoreAndInformation(NamedTuple):
             is the cause of a bias.
         score_covariance: Covariance of that derivative, shape (p, p); equal to the information if errors
             are independent.
-        notes: Data of the observation's own, for its `second_correction`.
+        notes: Data of the observation's own, for `remaining`.
     """
 
     term: AbstractTerm
@@ -76,11 +76,23 @@ class AbstractObserved(abc.ABC):
     ) -> ScoreAndInformation:
         """Score and information at the coordinates t where the solver stopped."""
 
-    def second_correction(
-        self, coordinates: Coordinates, t: Float[np.ndarray, " p"], found: ScoreAndInformation
+    def remaining(
+        self,
+        coordinates: Coordinates,
+        t: Float[np.ndarray, " p"],
+        moved: Float[np.ndarray, " p"],
+        found: ScoreAndInformation,
     ) -> Float[np.ndarray, " p"]:
-        """The score that remains at t once the first correction has been made; zero by default."""
-        return np.zeros(len(t))
+        """The expected score, less the change of the score on the way to t; by default to first order.
+
+        Args:
+            coordinates: The free parameters.
+            t: The coordinates.
+            moved: Their difference from those where the solver stopped.
+            found: What `score_and_information` gave there.
+        """
+        del coordinates, t
+        return found.score - found.information @ moved
 
     @abc.abstractmethod
     def residuals(

@@ -59,10 +59,15 @@ class ObservedViews(AbstractObserved):
         covariance = np.sum([error.score_covariance for error in errors], axis=0)
         return ScoreAndInformation(term, information, score, covariance, errors)
 
-    def second_correction(
-        self, coordinates: Coordinates, t: np.ndarray, found: ScoreAndInformation
+    def remaining(
+        self,
+        coordinates: Coordinates,
+        t: np.ndarray,
+        moved: np.ndarray,
+        found: ScoreAndInformation,
     ) -> np.ndarray:
-        """The score that the pattern of the target's own pixel errors causes."""
+        """See `AbstractObserved`; the expected score has the pattern of the target's own pixel errors."""
+        del moved
         pairs = zip(self.views, found.notes, strict=True)
         return np.sum([repeated(coordinates, t, *pair) for pair in pairs], axis=0)
 

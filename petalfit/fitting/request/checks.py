@@ -10,6 +10,7 @@ from jaxtyping import Float, Real
 
 from petalfit.components import Posed, parameters
 from petalfit.fitting.outliers.loss import AbstractLoss
+from petalfit.fitting.request.targets import is_one_image
 from petalfit.observations import AbstractObservation, Contour, PointCloud, Silhouette, TargetError
 from petalfit.surfaces import AbstractSurface
 
@@ -43,17 +44,44 @@ def valid_noise(
 
 def valid_base(
     base: str | Sequence[float | int] | Real[np.ndarray, " n"] | None,
-) -> tuple[float, float, float] | None:
+) -> tuple[float, ...] | None:
     """The point near the base; None if there is none, or if it is the other end that is asked for."""
     if base is None or (isinstance(base, str) and base == "other"):
         return None
     place = None if isinstance(base, str) else np.asarray(base, np.float64)
-    if place is None or place.shape != (3,) or not np.isfinite(place).all():
+    if place is None or place.shape not in ((2,), (3,)) or not np.isfinite(place).all():
         raise ValueError(
-            f"base must be a point (x, y, z) near the base, or 'other'; received {base!r}"
+            "base must be a point near the base, (x, y, z) or in an image (x, y), or 'other'; "
+            f"received {base!r}"
         )
-    x, y, z = place.tolist()
-    return x, y, z
+    return tuple(place.tolist())
+
+
+def check_base(
+    base: tuple[float, ...] | None, pose: str, targets: Sequence[AbstractObservation]
+) -> None:
+    """Raises an error for targets whose base is not sought, or a place with too many numbers or too few.
+
+    Args:
+        base: A place near the base, or None for the other end.
+        pose: The pose that is asked for.
+        targets: The targets.
+    """
+    in_image = is_one_image(targets)
+    if not in_image and (len(targets) > 1 or targets[0].kind != "cloud"):
+        raise TargetError(
+            "base is there for one cloud, or for one mask without a camera; leave it out for joint fits "
+            "and masks with cameras."
+        )
+    if not in_image and pose == "known":
+        raise TargetError(
+            "with pose='known' the model's frame says where the base is; leave base out, or fit the pose."
+        )
+    if base is not None and len(base) != (2 if in_image else 3):
+        raise TargetError(
+            "base is a place in pixels (x, y) in an image, and a point (x, y, z) in a cloud; received "
+            f"{len(base)} numbers."
+        )
 
 
 def refuse(what: str, unused: Sequence[str]) -> None:

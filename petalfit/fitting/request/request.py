@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
 
 import numpy as np
 
 from petalfit.fitting.outliers.linear import Linear
 from petalfit.fitting.outliers.loss import AbstractLoss
 from petalfit.fitting.outliers.scan import Scan
+from petalfit.fitting.request.targets import is_one_image
 from petalfit.fitting.starts.frame import NormalisedFrame
 from petalfit.observations import AbstractObservation, PointCloud
 from petalfit.surfaces import AbstractSurface, Pose
@@ -27,14 +27,13 @@ class Request:
         loss: The loss, which treats points that may not belong to the surface.
         noise: σ of the clouds' noise; None to estimate it.
         from_template: Whether to start at the template instead of searching for a start.
-        begun: The pose to start from, in the target's frame, if the template is to be started from in a
-            fitted pose.
+        begun: The pose to start from, in the target's frame or in pixels, if the template is to be
+            started from in a fitted pose or in an image.
         seed: The seed of random choices.
-        base: A point near the base of the petal, in the targets' frame; None if it is not known which end
-            is the base.
+        base: A point near the base of the petal, in the targets' frame or in pixels; None if it is not
+            known which end is the base.
         every_point: Whether every step takes every point of a large cloud, which is slow and changes the
             answer by less than its errors.
-        placed: For a mask without a camera, the scale and the shifts to start from, in pixels.
         ends_only: Whether to leave out the correction of the bias and the errors, which take long for
             silhouettes.
     """
@@ -48,9 +47,8 @@ class Request:
     from_template: bool = False
     begun: Pose | None = None
     seed: int = 0
-    base: tuple[float, float, float] | None = None
+    base: tuple[float, ...] | None = None
     every_point: bool = False
-    placed: Mapping[str, float] = dataclasses.field(default_factory=dict)
     ends_only: bool = False
 
     @property
@@ -64,6 +62,11 @@ class Request:
     def is_one_cloud(self) -> bool:
         """Whether the only target is a cloud."""
         return len(self.targets) == 1 and isinstance(self.targets[0], PointCloud)
+
+    @property
+    def is_one_image(self) -> bool:
+        """Whether the only target is a mask without a camera."""
+        return is_one_image(self.targets)
 
 
 def scan_of(request: Request, frame: NormalisedFrame, shuffled: bool) -> tuple[Scan, np.ndarray]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -88,3 +89,9 @@ def _as_target(target: object, camera: Camera | None) -> AbstractObservation:
     if isinstance(target, np.ndarray) and looks_like_a_mask(target, camera):
         return Silhouette(target, camera)
     return as_point_cloud(target)
+
+
+def is_one_image(targets: Sequence[AbstractObservation]) -> bool:
+    """Whether the only one of some targets is a mask without a camera."""
+    first, *others = targets
+    return not others and isinstance(first, Silhouette) and first.camera is None

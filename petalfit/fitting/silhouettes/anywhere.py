@@ -3,25 +3,28 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from typing import cast
 
 import numpy as np
 
 from petalfit.components import Posed
+from petalfit.fitting.coordinates import Coordinates
 from petalfit.fitting.families.family import AbstractFamily
 from petalfit.fitting.request.request import Request
-from petalfit.fitting.silhouettes.joint import fit_joint
-from petalfit.fitting.silhouettes.view_pose import view_frames
-from petalfit.fitting.solver.iterate import Iterate, best_first
+from petalfit.fitting.silhouettes.joint import Followed, Joint, finish, follow
+from petalfit.fitting.silhouettes.view_pose import image_frames, turn_in_image, view_frames, wrapped
+from petalfit.fitting.solver.iterate import Iterate
 from petalfit.fitting.solver.observer import report
 from petalfit.observations import Contour
-from petalfit.surfaces import AbstractSurface
+from petalfit.results import CLEAR_LEAD
 
-# Typical length of a petal in the model's unit, for a mask without a camera.
-_TYPICAL_LENGTH = 40.0
 # Number of directions from which a component in an unknown pose before cameras is fitted, and the noise
 # of contour distances, in pixels, below which no further direction is tried.
 _FRAMES, _RIGHT_PIXELS = 3, 0.5
+# Two ends are the same if no place of a grid of so many nodes a side differs by more sizes of the petal.
+_NODES, _SAME = 9, 0.01
+_WAYS = ("up", "to the left", "down", "to the right")
 
 
 def fit_views_anywhere(
@@ -38,33 +41,100 @@ def fit_views_anywhere(
         The ends for all directions that were tried, the best first.
     """
     frames = view_frames(family, request.template, request.free, contours, _FRAMES)
-    ends: list[Iterate] = []
+    found: list[Followed] = []
     for k, frame in enumerate(frames):
         report(f"following direction {k + 1} of {len(frames)}")
-        for end in fit_joint(family, dataclasses.replace(request, template=frame)):
-            ends.append(dataclasses.replace(end, label=f"direction {k + 1}, {end.label}"))
-        if min(end.residuals[0].noise for end in ends) < _RIGHT_PIXELS:
+        found += _followed(family, request, frame, f"direction {k + 1}")
+        if min(one.end.residuals[0].noise for one in found) < _RIGHT_PIXELS:
             break
-    return best_first(ends)
+    return finish(request, sorted(found, key=_cost))
 
 
-def in_image(template: AbstractSurface, contour: Contour, placed: Mapping[str, float]) -> Posed:
-    """A component seen from the front in an unknown place of its image.
+def fit_in_image(family: AbstractFamily, request: Request, contour: Contour) -> list[Iterate]:
+    """Fit a component that is seen from the front, in an unknown place of its image and turned there.
+
+    An outline seldom tells base and tip for certain. Of ends that are almost as good as the best, the
+    answer is the one with y nearest to up, whose base is below the tip, unless the base was given.
 
     Args:
-        template: The component.
+        family: The family of the template.
+        request: The request; the parameters of the place in the image are free.
         contour: The contour of its mask, which has no camera.
-        placed: The scale and the shifts to start from, in pixels; may be empty.
+
+    Returns:
+        The ends for all turns that were tried, the answer first.
     """
-    low, high = contour.place.min(axis=0), contour.place.max(axis=0)
-    middle, unit = 0.5 * (low + high), float(high[1] - low[1]) / _TYPICAL_LENGTH
-    return Posed(
-        template,
-        # This turns the petal's axes to those of the image: x right, y down, z away from the viewer.
-        np.diag([1.0, -1.0, -1.0]),
-        np.append(middle, 0.0),
-        unit,
-        placed.get("scale", unit) / unit,
-        (placed.get("shift_x", middle[0]) - middle[0]) / unit,
-        (placed.get("shift_y", middle[1]) - middle[1]) / unit,
-    )
+    if request.begun is not None:
+        place = request.begun
+        shift, scale = np.asarray(place.translation), float(place.scale)
+        frames = [Posed(request.template, np.asarray(place.rotation), shift, np.float64(scale))]
+    else:
+        frames = image_frames(family, request, contour, _FRAMES)
+    found: list[Followed] = []
+    for k, frame in enumerate(frames):
+        report(f"following turn {k + 1} of {len(frames)}")
+        followed = _followed(family, request, frame, _way(family, frame), ("turn_z",))
+        found += followed
+        if request.begun is None and request.base is None:
+            best = min(followed, key=_cost)
+            other = family.the_other_way(cast(Posed, best.end.model))
+            found += [] if other is None else [_turned(best, other, _way(family, other))]
+    found = _different(sorted(found, key=_cost))
+    good = [one for one in found if one is found[0] or _cost(one) - _cost(found[0]) < CLEAR_LEAD]
+    if request.base is None:
+        turn = min((_turn(one) for one in good), key=abs)
+        good = [one for one in good if not abs(wrapped(_turn(one) - turn)) > 0.25 * np.pi]
+    return finish(request, [good[0], *(one for one in found if one is not good[0])])
+
+
+def _different(found: Sequence[Followed]) -> list[Followed]:
+    """The ends without those that are nearly the same surface as an earlier one."""
+    kept: list[Followed] = []
+    places: list[np.ndarray] = []
+    for one in found:
+        model = one.end.model
+        u, v = np.meshgrid(
+            *(np.linspace(low, high, _NODES) for low, high in model.domain), indexing="ij"
+        )
+        own = np.asarray(model(u, v), np.float64)
+        size = np.ptp(own.reshape(-1, 3), axis=0).max()
+        if all(np.abs(own - other).max() > _SAME * size for other in places):
+            kept.append(one)
+            places.append(own)
+    return kept
+
+
+def _cost(followed: Followed) -> float:
+    cost = followed.end.chi2
+    return cost if np.isfinite(cost) else np.inf
+
+
+def _turn(followed: Followed) -> float:
+    return turn_in_image(cast(Posed, followed.end.model))
+
+
+def _way(family: AbstractFamily, posed: Posed) -> str:
+    """The words for a turn in an image, such as "tip up"."""
+    quarter = round(turn_in_image(posed) / (0.5 * np.pi)) % 4
+    return f"{'tip' if family.is_petal else 'y'} {_WAYS[quarter]}"
+
+
+def _turned(followed: Followed, start: Posed, label: str) -> Followed:
+    """The end of a start the other way round in the frame where that lies."""
+    template = cast(Posed, followed.joint.coordinates.template).surface
+    coordinates = Coordinates.of(start.at_rest(template), followed.joint.coordinates.free)
+    joint = dataclasses.replace(followed.joint, coordinates=coordinates)
+    start = start.seen_from(coordinates.template)
+    return joint.follow("base and tip exchanged", start, followed.held).labelled(label)
+
+
+def _followed(
+    family: AbstractFamily,
+    request: Request,
+    frame: Posed,
+    label: str,
+    found: tuple[str, ...] = (),
+) -> list[Followed]:
+    """The ends of all starts in a frame, with the frame's name before their labels; see `follow`."""
+    request = dataclasses.replace(request, template=frame)
+    return [one.labelled(label) for one in follow(Joint.of(family, request), request, found)]

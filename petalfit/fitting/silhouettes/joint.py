@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from petalfit.compilation import stage
-from petalfit.components import Posed, parameters
+from petalfit.components import Posed, parameters, scales_with_lengths
 from petalfit.fitting.coordinates import Coordinates, Prior, with_values
 from petalfit.fitting.families.family import AbstractFamily
 from petalfit.fitting.inference.identifiability import sizes
@@ -58,6 +58,12 @@ class Joint:
     parts: tuple[Part, ...]
     hidden: tuple[str, ...] = ()
 
+    @classmethod
+    def of(cls, family: AbstractFamily, request: Request) -> Joint:
+        """The joint fit that is asked for, in the frame of the request's template."""
+        coordinates = Coordinates.of(request.template, request.free)
+        return cls(family, coordinates, observe(request), family.hidden_from(request))
+
     @property
     def observed(self) -> list[AbstractObserved]:
         """The likelihoods of all observations, without the indices."""
@@ -89,22 +95,35 @@ class Joint:
         """The sum of all misfits, by which starts are chosen; small if a model follows the targets."""
         return sum(part.misfit(model) for part in self.observed)
 
-    def follow(self, label: str, model: AbstractSurface, held: tuple[str, ...] = ()) -> _Followed:
+    def follow(self, label: str, model: AbstractSurface, held: tuple[str, ...] = ()) -> Followed:
         """Solves from a start, with some parameters held beside the hidden ones."""
         held = (*held, *self.hidden)
         report(f"polishing from {label}")
         with stage("polishing"):
             end = self.minimise(self.coordinates.holding(held).around(model), model)
-        return _Followed(end, evaluate(self.coordinates, label, self.observed, end), held)
+        return Followed(self, end, evaluate(self.coordinates, label, self.observed, end), held)
 
 
 @dataclasses.dataclass(frozen=True)
-class _Followed:
-    """An end of a joint fit: as the solver left it, with its evaluation, and the names that were held."""
+class Followed:
+    """A start that was followed to its end.
 
+    Attributes:
+        joint: The joint fit, in the frame in which it was followed.
+        left: The end as the solver left it.
+        end: The end with its evaluation.
+        held: Names of the parameters that were held.
+    """
+
+    joint: Joint
     left: Iterate
     end: Iterate
     held: tuple[str, ...]
+
+    def labelled(self, prefix: str) -> Followed:
+        """The same with words before its label."""
+        label = f"{prefix}, {self.end.label}"
+        return dataclasses.replace(self, end=dataclasses.replace(self.end, label=label))
 
 
 def fit_joint(family: AbstractFamily, request: Request) -> list[Iterate]:
@@ -119,14 +138,33 @@ def fit_joint(family: AbstractFamily, request: Request) -> list[Iterate]:
     Returns:
         The end of each start, the best first, with residuals in the order of the targets.
     """
-    coordinates, free = Coordinates.of(request.template, request.free), request.free
-    parts = observe(request)
-    joint = Joint(family, coordinates, parts, family.hidden_from(request))
+    found = follow(Joint.of(family, request), request)
+    return finish(request, sorted(found, key=lambda one: one.end.chi2))
+
+
+def follow(joint: Joint, request: Request, found: tuple[str, ...] = ()) -> list[Followed]:
+    """The ends of all starts of a joint fit.
+
+    Args:
+        joint: The joint fit.
+        request: What is asked for.
+        found: Names of the parameters that the template already has nearly right: the search for starts
+            keeps them.
+    """
     if request.from_template:
-        found = [joint.follow("given", coordinates.template)]
-    else:
-        found = [*_from_clouds(joint, request), *_from_outlines(joint)]
-    best, *others = sorted(found, key=lambda one: one.end.chi2)
+        return [joint.follow("given", joint.coordinates.template)]
+    return [*_from_clouds(joint, request), *_from_outlines(joint, found)]
+
+
+def finish(request: Request, found: Sequence[Followed]) -> list[Iterate]:
+    """Corrects the bias of the first of several ends, and finds its errors.
+
+    Returns:
+        All ends in the given order, with residuals in the order of the targets.
+    """
+    best, *others = found
+    joint, coordinates, free = best.joint, best.joint.coordinates, request.free
+    parts = joint.parts
     rest = [_in_order(other.end, parts) for other in others]
     if request.ends_only:
         return [_in_order(best.end, parts), *rest]
@@ -159,7 +197,7 @@ def _in_order(end: Iterate, parts: Sequence[Part]) -> Iterate:
     return dataclasses.replace(end, residuals=residuals)
 
 
-def _from_clouds(joint: Joint, request: Request) -> Iterator[_Followed]:
+def _from_clouds(joint: Joint, request: Request) -> Iterator[Followed]:
     """Ends from starts that a fit to the clouds alone gives."""
     clouds = [target for target in request.targets if isinstance(target, PointCloud)]
     count = sum(np.count_nonzero(cloud.mass) for cloud in clouds)
@@ -177,34 +215,45 @@ def _from_clouds(joint: Joint, request: Request) -> Iterator[_Followed]:
         yield joint.follow(start.label, start.model)
 
 
-def _from_outlines(joint: Joint) -> Iterator[_Followed]:
+def _from_outlines(joint: Joint, found: tuple[str, ...]) -> Iterator[Followed]:
     """Ends of rough starts that follow the silhouettes, and of refined ones that are made from them."""
     if joint.views is None:
         return
     rough = joint.family.rough(joint.coordinates)
     held = tuple(name for name in rough.free if name not in rough.moving)
     rough = rough.holding((*held, *joint.hidden))
-    for label, model in _outlined(joint, joint.views, rough):
+    for label, model in _outlined(joint, joint.views, rough, (*found, *joint.family.late)):
         yield joint.follow(label, model, held)
         finer = joint.family.refined(joint.coordinates, model, joint.clouds, joint.views)
         for name, start in finer:
             yield joint.follow(name, start)
 
 
-def _outlined(joint: Joint, views: ObservedViews, rough: Coordinates) -> Iterator[Start]:
-    """Different surfaces that follow the silhouettes, with their labels, the best first."""
+def _outlined(
+    joint: Joint, views: ObservedViews, rough: Coordinates, late: tuple[str, ...]
+) -> Iterator[Start]:
+    """Different surfaces that follow the silhouettes, with their labels, the best first.
+
+    Args:
+        joint: The joint fit.
+        views: Its silhouettes.
+        rough: The coordinates in which the surfaces are found.
+        late: Names of parameters that are held until the surfaces nearly follow the silhouettes.
+    """
     report("searching the outline")
+    first = rough.holding([*late, *(name for name in rough.free if name not in rough.moving)])
     shadows = [Shadow.of(view.contour) for view in views.views]
     found: list[tuple[float, AbstractSurface]] = []
-    for t, _ in search(rough, shadows, _CANDIDATES):
-        model = joint.minimise(rough, rough.model(t), 3, 0.5).model
+    for t, _ in search(first, shadows, _CANDIDATES):
+        model = joint.minimise(first, first.model(t), 3, 0.5).model
         found.append((joint.misfit(model), model))
         if found[-1][0] < _RIGHT:
             break
     found.sort(key=lambda start: start[0])
     promising = [model for misfit, model in found[:_FOLLOWED] if misfit < 3 * found[0][0] + _RIGHT]
     best = promising[0]
-    if isinstance(best, Posed) and "scale" in rough.free:
+    has_scale = isinstance(best, Posed) and "scale" in rough.moving
+    if isinstance(best, Posed) and has_scale and not scales_with_lengths(best.surface):
         promising = _rescaled(joint, rough, best)
     ends = [joint.minimise(rough, model).model for model in promising]
     ends.sort(key=joint.misfit)

@@ -1,4 +1,4 @@
-"""Starts for the pose of a component in silhouettes: its place by triangulation, in all directions."""
+"""Frames for a component in silhouettes: before cameras in all directions, in an image by all turns."""
 
 from __future__ import annotations
 
@@ -8,12 +8,14 @@ from typing import cast
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from petalfit.components import Posed, lengths, scales_with_lengths
 from petalfit.fitting.coordinates import Coordinates
 from petalfit.fitting.families.family import AbstractFamily
 from petalfit.fitting.likelihood.quadrature import Quadrature
 from petalfit.fitting.likelihood.views import ObservedViews
+from petalfit.fitting.request.request import Request
 from petalfit.fitting.silhouettes.joint import Joint
 from petalfit.fitting.silhouettes.observing import Part
 from petalfit.fitting.solver.observer import report
@@ -45,22 +47,101 @@ def view_frames(
     own = 0.5 * (places.min(axis=0) + places.max(axis=0))
     ratio = size_in_space(shadows, centre) / float(np.linalg.norm(np.ptp(places, axis=0)))
     unit = _unit(family, template, names, ratio)
+    around = [
+        Posed(template, rotation, centre - unit * rotation @ own, np.float64(unit))
+        for rotation in _TURNS
+    ]
+    near = _nearest(family, around, names, shadows, part, _LOOKED_AT)
+    return [model.at_rest(template) for _, model in near[:most]]
+
+
+def image_frames(
+    family: AbstractFamily, request: Request, contour: Contour, most: int
+) -> list[Posed]:
+    """The component seen from the front, turned in its image, the likeliest turn first.
+
+    Args:
+        family: The family of the component.
+        request: The request; the parameters of the place in the image are free.
+        contour: The contour of its mask, which has no camera.
+        most: The largest number of frames to return.
+    """
+    part, template = Part(ObservedViews.of([contour]), (0,)), request.template
+    given = request.from_template
+    names = Posed.in_image if given else request.free
+    around = [_front(template, contour, turn) for turn in _TURNS_IN_IMAGE]
+    if request.base is not None:
+        around = [frame for frame in around if _is_below(frame, request.base)]
+    near = _nearest(family, around, names, [Shadow.of(contour)], part, _LOOKED_AT)
+    best, _ = near[0]
+    frames: list[Posed] = []
+    for misfit, model in near:
+        turn = turn_in_image(model)
+        apart = [abs(wrapped(turn - turn_in_image(frame))) for frame in frames]
+        if misfit < _WORSE * best + _RIGHT and min(apart, default=np.inf) > _APART:
+            frame = model.at_rest(template) if given else _front(template, contour, turn)
+            frames.append(frame)
+    return frames[:most]
+
+
+def _is_below(frame: Posed, place: Sequence[float]) -> bool:
+    """Whether a place in the image is on the side of a frame's origin where y is negative."""
+    across = np.asarray(place) - np.asarray(frame.origin)[:2]
+    return bool(across @ np.asarray(frame.rotation)[:2, 1] <= 0)
+
+
+def turn_in_image(posed: Posed) -> float:
+    """The turn in rad, counterclockwise, of a component that is seen from the front; 0 if y is up."""
+    turned = FRONT @ np.asarray(posed.placement.rotation)
+    return float(np.arctan2(turned[1, 0], turned[0, 0]))
+
+
+def wrapped(turn: float) -> float:
+    """The same turn between −π and π."""
+    return float(np.remainder(turn + np.pi, 2 * np.pi) - np.pi)
+
+
+def _front(template: AbstractSurface, contour: Contour, turn: float) -> Posed:
+    """A component seen from the front in the middle of a contour, counterclockwise by a turn in rad."""
+    rotation = FRONT @ Rotation.from_rotvec([0.0, 0.0, turn]).as_matrix()
+    low, high = contour.place.min(axis=0), contour.place.max(axis=0)
+    along = np.ptp(contour.place @ rotation[:2, 1])
+    middle = np.append(0.5 * (low + high), 0.0)
+    return Posed(template, rotation, middle, np.float64(along / _TYPICAL_LENGTH))
+
+
+def _nearest(
+    family: AbstractFamily,
+    around: Sequence[Posed],
+    names: tuple[str, ...],
+    shadows: Sequence[Shadow],
+    part: Part,
+    most: int,
+) -> list[tuple[float, Posed]]:
+    """Models near silhouettes with their misfits, of the frames in which they may be, the best first.
+
+    Args:
+        family: The family of the component.
+        around: Frames from which the poses of the models differ by a small turn and shift.
+        names: Names of all free parameters, including those of the pose.
+        shadows: The shadows of the silhouettes.
+        part: Their likelihood.
+        most: The number of frames, the best by support functions, in which contours are matched.
+    """
     glances = []
-    for k, rotation in enumerate(_TURNS):
-        report(f"searching the pose, direction {k + 1} of {len(_TURNS)}")
-        posed = Posed(template, rotation, centre - unit * rotation @ own, np.float64(unit))
-        coordinates = family.rough(Coordinates.of(posed, names))
+    for k, frame in enumerate(around):
+        report(f"searching the pose, direction {k + 1} of {len(around)}")
+        coordinates = family.rough(Coordinates.of(frame, names))
         (best,) = search(coordinates, shadows, 1, thorough=False)
         glances.append((best.score, coordinates, best.t))
     glances.sort(key=lambda glance: glance[0])
     found: list[tuple[float, Posed]] = []
-    for k, (_, coordinates, t) in enumerate(glances[:_LOOKED_AT]):
-        report(f"looking closer, direction {k + 1} of {_LOOKED_AT}")
+    for k, (_, coordinates, t) in enumerate(glances[:most]):
+        report(f"looking closer, direction {k + 1} of {min(most, len(glances))}")
         joint = Joint(family, coordinates, (part,))
         model = joint.minimise(coordinates, coordinates.model(t), 4, 0.5).model
-        found.append((joint.misfit(model), cast(Posed, model).at_rest(template)))
-    found.sort(key=lambda one: one[0])
-    return [frame for _, frame in found[:most]]
+        found.append((joint.misfit(model), cast(Posed, model)))
+    return sorted(found, key=lambda one: one[0])
 
 
 def _unit(
@@ -128,4 +209,12 @@ def _quarter_turns() -> list[Float[np.ndarray, "3 3"]]:
 
 _TURNS = _quarter_turns()
 _TYPICAL = 4.0  # a petal is of typical size if it is less than so many times larger or smaller
+# The rotation that takes a component's axes to those of an image: x right, y down, z away.
+FRONT = np.diag([1.0, -1.0, -1.0])
+_TURNS_IN_IMAGE = np.pi / 3 * np.array([0, 1, -1, 2, -2, 3])
+# Typical length of a petal in the model's unit, for a mask without a camera.
+_TYPICAL_LENGTH = 40.0
+# A turn is followed if its misfit is at most so many times the least and this more, and if it differs
+# from others by more than this angle in rad.
+_WORSE, _RIGHT, _APART = 3.0, 0.03, 0.6
 _LOOKED_AT = 8  # number of directions, the best by support functions, in which contours are matched

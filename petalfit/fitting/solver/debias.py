@@ -14,6 +14,8 @@ from petalfit.fitting.likelihood.observed import AbstractObserved
 from petalfit.fitting.solver.iterate import Iterate
 from petalfit.surfaces import AbstractSurface
 
+# Corrections at most, and the square of one in standard errors that is none any more.
+_CORRECTIONS, _CORRECTED = 5, 1e-9
 Surface = TypeVar("Surface", bound=AbstractSurface)
 
 
@@ -45,20 +47,27 @@ def without_bias(
     prior: Prior | None = None,
 ) -> Iterate[Surface]:
     """Removes the bias of an end, and adds converged foot points, residuals and information."""
-    t = coordinates.inverse(end.model)
+    begun = coordinates.inverse(end.model)
+    t = begun
     found = [
         x.score_and_information(coordinates, t, term)
         for x, term in zip(observed, end.terms, strict=True)
     ]
     information = np.sum([part.information for part in found], axis=0)
     covariance = np.sum([part.score_covariance for part in found], axis=0)
-    score = np.sum([part.score for part in found], axis=0)
     scales = np.outer(coordinates.slopes(t), coordinates.slopes(t))
     root = np.zeros(len(t)) if prior is None else np.asarray(prior.root)
-    t = t + _correction(information, root, score)
-    pairs = zip(observed, found, strict=True)
-    again = np.sum([x.second_correction(coordinates, t, part) for x, part in pairs], axis=0)
-    t = t + _correction(information, root, again)
+    best, least, pairs = t, np.inf, list(zip(observed, found, strict=True))
+    for _ in range(_CORRECTIONS):
+        left = np.sum([x.remaining(coordinates, t, t - begun, part) for x, part in pairs], axis=0)
+        step = _correction(information, root, left - (1 + root**2) * (t - begun))
+        size = float(step @ information @ step)
+        if size < least:
+            best, least = t, size
+        if not size > _CORRECTED:
+            break
+        t = t + step
+    t = best
     values = dict(zip(coordinates.free, coordinates.values(t), strict=True))
     model = with_values(coordinates.template, values)
     # The foot points move only along the surface, which changes no distance to first order.

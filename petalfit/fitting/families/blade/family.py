@@ -7,9 +7,10 @@ from typing import ClassVar, cast
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from petalfit.compilation import prepared
-from petalfit.components import BladePetal, bare
+from petalfit.components import BladePetal, Posed, bare
 from petalfit.fitting.families.blade.start import BladeStart, blade_starts, compile_bending
 from petalfit.fitting.families.open_surface import CloudStart, OpenSurfaceFamily, turned_over
 from petalfit.fitting.solver.iterate import Iterate
@@ -24,6 +25,7 @@ class BladeFamily(OpenSurfaceFamily):
     is_petal: ClassVar[bool] = True
     # Fewer do not show widths of strips, in which the search for a start begins.
     fewest: ClassVar[int | None] = 64
+    late: ClassVar[tuple[str, ...]] = ("tip_edge", "base_edge")
     depth: ClassVar[tuple[str, ...]] = (
         "bend",
         "bend_shift",
@@ -52,6 +54,14 @@ class BladeFamily(OpenSurfaceFamily):
         blade = cast(BladePetal, template)
         others = super().foresee(template, free, pose)
         return (*others, prepared(lambda: compile_bending(blade, free)))
+
+    def the_other_way(self, posed: Posed) -> Posed:
+        blade = cast(BladePetal, posed.surface)
+        tip = np.asarray(posed(0.0, 1.0), np.float64)
+        # The midrib ends in a direction that differs by the sickle from the one in which it begins.
+        turn = Rotation.from_rotvec([0.0, 0.0, np.pi - float(blade.sickle)]).as_matrix()
+        scale = np.float64(posed.placement.scale)
+        return Posed(blade.reversed(), np.asarray(posed.turned) @ turn, tip, scale)
 
     def followed(self, starts: Sequence[CloudStart]) -> Sequence[CloudStart]:
         """Both ends of a long blade; of one as wide as long, every direction."""
