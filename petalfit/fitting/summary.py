@@ -260,8 +260,10 @@ def _misfits(
         strained: Whether determined parameters ended at their bounds.
     """
     in_space = request.pose != "known"
+    hides = bool(family.hidden_from(request))
     misfits = [
-        verdict.misfit_of(part, strained, request.noise, in_space, best.left_out) for part in parts
+        verdict.misfit_of(part, strained, request.noise, in_space, best.left_out, hides)
+        for part in parts
     ]
     if seen is None or not request.is_one_cloud:
         return misfits

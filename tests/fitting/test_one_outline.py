@@ -8,6 +8,8 @@ from petalfit.fitting.families.registry import family_of
 from petalfit.fitting.inference.verdict import misfit_of
 from petalfit.results import Agreement
 
+from .conftest import random_blade
+
 FREE = ("length", "width", "widest", "tip_width", "bend", "cup_mid", "twist")
 
 
@@ -46,3 +48,35 @@ def test_a_misfit_blames_no_camera_that_nobody_gave(result):
 def test_several_masks_and_clouds_hide_nothing():
     assert family_of(pf.BladePetal()).depth
     assert not family_of(pf.PeonyPetal()).depth
+
+
+@pytest.fixture(scope="module")
+def bent():
+    """Bent blades, each seen obliquely in one mask with its camera, and the fits of these masks."""
+    found = []
+    for seed in range(7100, 7106):
+        blade = random_blade(np.random.default_rng(seed))
+        places = np.asarray(blade.mesh((33, 33)).vertices)
+        middle, back = places.mean(axis=0), np.array([0.6, -0.8, 1.2])
+        camera = pf.Camera.look_at(middle + back, middle, (200, 200), pixels_per_unit=1.0)
+        scale = 160 / np.ptp(camera.project(places), axis=0).max()
+        camera = pf.Camera.look_at(middle + back, middle, (200, 200), pixels_per_unit=scale)
+        mask = np.asarray(blade.silhouette(camera).mask) > 0.5
+        found.append((blade, pf.fit(pf.BladePetal, mask, camera=camera, throw=False)))
+    return found
+
+
+def test_errors_allow_for_a_bend_that_one_outline_hides(bent):
+    z, lengths = [], 0
+    for blade, result in bent:
+        if not result.converged:
+            assert result.status == "misfit"
+            assert "it is bent (add masks from other directions" in result.reason
+            continue
+        names = [name for name in result.names if result.identifiable[name]]
+        assert not set(names) & set(family_of(blade).depth)
+        lengths += "length" in names
+        z += [(result.values[n] - getattr(blade, n)) / result.stderr[n] for n in names]
+    assert lengths >= 3
+    assert np.mean(np.abs(z) < 1.96) > 0.8
+    assert np.max(np.abs(z)) < 4

@@ -35,8 +35,8 @@ class AbstractFamily(abc.ABC):
         named_errors: Whether its parameters are free, and have errors.
         late: Names of the parameters that follow outlines only once the others nearly do: a search for
             starts among outlines keeps the template's values.
-        depth: Names of the parameters that bend its models out of a plane. A single outline, seen from an
-            unknown side, hardly shows them: they keep the template's values, and are not determined.
+        depth: Names of the parameters that bend its models out of a plane. A single outline hardly shows
+            them: they keep the template's values, and are not determined.
     """
 
     kind: ClassVar[type[AbstractSurface]]
@@ -99,7 +99,7 @@ class AbstractFamily(abc.ABC):
         first, *others = request.targets
         if others or not isinstance(first, Silhouette):
             return ()
-        return self.depth if request.pose != "known" or first.camera is None else ()
+        return self.depth
 
     def rough(self, coordinates: Coordinates) -> Coordinates:
         """Coordinates for a first, rough fit to outlines; parameters that show only later are held."""

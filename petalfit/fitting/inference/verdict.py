@@ -91,6 +91,7 @@ def misfit_of(
     noise: float | None,
     in_space: bool,
     left_out: float | None = None,
+    hides: bool = False,
 ) -> str:
     """The reason why the surface does not follow a target; "" if it does.
 
@@ -101,6 +102,7 @@ def misfit_of(
         in_space: Whether a pose in space was fitted.
         left_out: The part of the points that seemed to lie on a surface, but are taken for outliers; of
             all points if it is None. Clutter may be the greater part of a cloud, but lies on no surface.
+        hides: Whether the surface was taken to be flat, because one outline hides how it is bent.
     """
     size = part.target.size
     far, points = part.outliers / len(part.weights), "points"
@@ -113,6 +115,8 @@ def misfit_of(
         why = "it has another shape"
         if isinstance(part.target, Silhouette) and part.target.camera is not None:
             why = "its camera is not where it is said to be, or it has another shape"
+        if hides:
+            why = f"it is bent (add masks from other directions, which show that), {why}"
     else:
         rms, tolerable = part.rms, (_STRAINED_MISFIT if strained else _MISFIT) * size
         tolerable = max(tolerable, 1.5 * (noise or 0.0))

@@ -12,6 +12,7 @@ steps: the fit ends where a picture of the model has the score of the target.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -139,6 +140,23 @@ def repeated(
     share = errors.likeness
     expected = share * scorer.score(same) + (1 - share) * errors.score
     return expected - (scorer.score(target) - errors.begun)
+
+
+def scores_of_outlines(
+    coordinates: Coordinates,
+    t: Float[np.ndarray, " p"],
+    view: View,
+    others: Sequence[AbstractSurface],
+) -> Float[np.ndarray, "k p"]:
+    """The scores of the model at t for the outlines of other models, as if these were contours."""
+    scorer, _ = _scorer(coordinates, t, view)
+    scores = []
+    for other in others:
+        seen = outline(other, view.contour.camera)
+        match = scorer.matched.match(view.like(seen.place, seen.normal, seen.length))
+        weights = match.length / (2 * scorer.time * scorer.noise**2)
+        scores.append(scorer.rows(match).T @ (weights * match.distance))
+    return np.array(scores)
 
 
 def _scorer(

@@ -18,6 +18,7 @@ from petalfit.fitting.likelihood.cloud import ObservedCloud
 from petalfit.fitting.likelihood.observed import AbstractObserved
 from petalfit.fitting.likelihood.views import ObservedViews
 from petalfit.fitting.request.request import Request
+from petalfit.fitting.silhouettes.hidden import allowing_for_hidden
 from petalfit.fitting.silhouettes.observing import Part, observe
 from petalfit.fitting.solver.all_points import with_all_points
 from petalfit.fitting.solver.alternate import minimise
@@ -183,6 +184,9 @@ def finish(request: Request, found: Sequence[Followed]) -> list[Iterate]:
     report("taking pictures of the fit")
     with stage("errors"):
         final = pinned(coordinates, finished(best.left), again)
+        if joint.hidden and joint.views is not None and not request.is_one_image:
+            (view,) = joint.views.views
+            final = allowing_for_hidden(coordinates, view, final, joint.hidden)
     final = _in_order(dataclasses.replace(final, chi2=best.end.chi2), parts)
     for number, target in enumerate(request.targets):
         if isinstance(target, PointCloud):
