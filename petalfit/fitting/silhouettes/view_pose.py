@@ -78,7 +78,7 @@ def image_frames(
     for misfit, model in near:
         turn = turn_in_image(model)
         apart = [abs(wrapped(turn - turn_in_image(frame))) for frame in frames]
-        if misfit < _WORSE * best + _RIGHT and min(apart, default=np.inf) > _APART:
+        if misfit <= _WORSE * best + _RIGHT and min(apart, default=np.inf) > _APART:
             frame = model.at_rest(template) if given else _front(template, contour, turn)
             frames.append(frame)
     return frames[:most]
@@ -140,7 +140,8 @@ def _nearest(
         report(f"looking closer, direction {k + 1} of {min(most, len(glances))}")
         joint = Joint(family, coordinates, (part,))
         model = joint.minimise(coordinates, coordinates.model(t), 4, 0.5).model
-        found.append((joint.misfit(model), cast(Posed, model)))
+        misfit = joint.misfit(model)
+        found.append((misfit if np.isfinite(misfit) else np.inf, cast(Posed, model)))
     return sorted(found, key=lambda one: one[0])
 
 
