@@ -225,9 +225,8 @@ def _base(text: str | None) -> Any:
     if text is None or text == "other":
         return text
     try:
-        place = tuple(map(float, text.split(",")))
+        return tuple(map(float, text.split(",")))
     except ValueError:
         raise CommandError(
             f"--base {text} is no place; write --base 0.5,0,-2, or --base other."
         ) from None
-    return place

@@ -113,7 +113,8 @@ def summarise(family: AbstractFamily, request: Request, ends: list[Iterate]) -> 
         ends = [best, *(_seen_from(end, best.model) for end in ends[1:])]
     starts = _starts(ends, names) if names else ()
     if isinstance(source, Posed) and in_image:
-        factors = np.array([_image_unit(name, source) for name in names])
+        placed = Posed.in_image
+        factors = np.array([_pose_unit(n, source) if n in placed else 1.0 for n in names])
         matrix = by_noise = matrix * np.outer(factors, factors)
         values = values | _in_image(source)
         starts = tuple(
@@ -339,12 +340,6 @@ def _relative(pose: Pose) -> FitWarning:
         f"{float(pose.scale):.4g} pixels"
     )
     return FitWarning(text, WarningKind.RELATIVE_LENGTHS)
-
-
-def _image_unit(name: str, posed: Posed) -> float:
-    """The factor from a parameter's own unit to that of the result of a fit in an image."""
-    in_pixels = name in Posed.in_image and not name.startswith("turn")
-    return float(posed.unit) if in_pixels else 1.0
 
 
 def _in_image(posed: Posed, other: Posed | None = None) -> dict[str, float]:

@@ -68,13 +68,16 @@ class AbstractFamily(abc.ABC):
 
     def free_in(self, pose: str, free: tuple[str, ...]) -> tuple[str, ...]:
         """Names that are free in a pose: the parameters that it does not make redundant, and its own."""
-        redundant = self.gauges.get(pose, ())
-        return (*(name for name in free if name not in redundant), *Posed.free_in(pose))
+        return (*self.not_redundant(pose, free), *Posed.free_in(pose))
 
     def free_in_image(self, free: tuple[str, ...]) -> tuple[str, ...]:
         """Names that are free in an image of unknown scale, where the same are redundant as in space."""
-        redundant = self.gauges.get("similarity", ())
-        return (*(name for name in free if name not in redundant), *Posed.in_image)
+        return (*self.not_redundant("similarity", free), *Posed.in_image)
+
+    def not_redundant(self, pose: str, free: tuple[str, ...]) -> tuple[str, ...]:
+        """The names without those of the parameters that a pose makes redundant."""
+        redundant = self.gauges.get(pose, ())
+        return tuple(name for name in free if name not in redundant)
 
     def foresee(
         self, template: AbstractSurface, free: tuple[str, ...], pose: str

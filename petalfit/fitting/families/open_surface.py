@@ -179,8 +179,7 @@ class OpenSurfaceFamily(AbstractFamily):
         found: Sequence[CloudStart] = ()
         if not request.from_template:
             report("flattening the cloud")
-            redundant = self.gauges.get(request.pose, ())
-            free = tuple(name for name in request.free if name not in redundant)
+            free = self.not_redundant(request.pose, request.free)
             every = self.starts(request.template, free, sheets[:_SOME], request.pose)
             if request.base is not None:
                 every = [_with_base_near(every, frame.into(np.array([request.base]))[0])]

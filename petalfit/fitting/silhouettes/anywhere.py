@@ -9,7 +9,6 @@ from typing import cast
 import numpy as np
 
 from petalfit.components import Posed
-from petalfit.fitting.coordinates import Coordinates
 from petalfit.fitting.families.family import AbstractFamily
 from petalfit.fitting.request.request import Request
 from petalfit.fitting.silhouettes.joint import Followed, Joint, finish, follow
@@ -41,13 +40,15 @@ def fit_views_anywhere(
         The ends for all directions that were tried, the best first.
     """
     frames = view_frames(family, request.template, request.free, contours, _FRAMES)
+    joint = Joint.of(family, dataclasses.replace(request, template=frames[0]))
     found: list[Followed] = []
     for k, frame in enumerate(frames):
         report(f"following direction {k + 1} of {len(frames)}")
-        found += _followed(family, request, frame, f"direction {k + 1}")
+        followed = follow(joint.in_frame(frame), request)
+        found += [one.labelled(f"direction {k + 1}") for one in followed]
         if min(one.end.residuals[0].noise for one in found) < _RIGHT_PIXELS:
             break
-    return finish(request, sorted(found, key=_cost))
+    return finish(request, sorted(found, key=lambda one: one.cost))
 
 
 def fit_in_image(family: AbstractFamily, request: Request, contour: Contour) -> list[Iterate]:
@@ -70,17 +71,22 @@ def fit_in_image(family: AbstractFamily, request: Request, contour: Contour) -> 
         frames = [Posed(request.template, np.asarray(place.rotation), shift, np.float64(scale))]
     else:
         frames = image_frames(family, request, contour, _FRAMES)
+    joint = Joint.of(family, dataclasses.replace(request, template=frames[0]))
     found: list[Followed] = []
     for k, frame in enumerate(frames):
         report(f"following turn {k + 1} of {len(frames)}")
-        followed = _followed(family, request, frame, _way(family, frame), ("turn_z",))
-        found += followed
+        followed = follow(joint.in_frame(frame), request, ("turn_z",))
+        found += [one.labelled(_way(family, frame)) for one in followed]
         if request.begun is None and request.base is None:
-            best = min(followed, key=_cost)
+            best = min(followed, key=lambda one: one.cost)
             other = family.the_other_way(cast(Posed, best.end.model))
-            found += [] if other is None else [_turned(best, other, _way(family, other))]
-    found = _different(sorted(found, key=_cost))
-    good = [one for one in found if one is found[0] or _cost(one) - _cost(found[0]) < CLEAR_LEAD]
+            if other is not None:
+                turned = joint.in_frame(other.at_rest(request.template))
+                start = other.at_rest(other.surface)
+                end = turned.follow("base and tip exchanged", start, best.held)
+                found.append(end.labelled(_way(family, other)))
+    found = _different(sorted(found, key=lambda one: one.cost))
+    good = [one for one in found if one is found[0] or one.cost - found[0].cost < CLEAR_LEAD]
     if request.base is None:
         turn = min((_turn(one) for one in good), key=abs)
         good = [one for one in good if not abs(wrapped(_turn(one) - turn)) > 0.25 * np.pi]
@@ -104,11 +110,6 @@ def _different(found: Sequence[Followed]) -> list[Followed]:
     return kept
 
 
-def _cost(followed: Followed) -> float:
-    cost = followed.end.chi2
-    return cost if np.isfinite(cost) else np.inf
-
-
 def _turn(followed: Followed) -> float:
     return turn_in_image(cast(Posed, followed.end.model))
 
@@ -117,24 +118,3 @@ def _way(family: AbstractFamily, posed: Posed) -> str:
     """The words for a turn in an image, such as "tip up"."""
     quarter = round(turn_in_image(posed) / (0.5 * np.pi)) % 4
     return f"{'tip' if family.is_petal else 'y'} {_WAYS[quarter]}"
-
-
-def _turned(followed: Followed, start: Posed, label: str) -> Followed:
-    """The end of a start the other way round in the frame where that lies."""
-    template = cast(Posed, followed.joint.coordinates.template).surface
-    coordinates = Coordinates.of(start.at_rest(template), followed.joint.coordinates.free)
-    joint = dataclasses.replace(followed.joint, coordinates=coordinates)
-    start = start.seen_from(coordinates.template)
-    return joint.follow("base and tip exchanged", start, followed.held).labelled(label)
-
-
-def _followed(
-    family: AbstractFamily,
-    request: Request,
-    frame: Posed,
-    label: str,
-    found: tuple[str, ...] = (),
-) -> list[Followed]:
-    """The ends of all starts in a frame, with the frame's name before their labels; see `follow`."""
-    request = dataclasses.replace(request, template=frame)
-    return [one.labelled(label) for one in follow(Joint.of(family, request), request, found)]

@@ -65,6 +65,11 @@ class Joint:
         coordinates = Coordinates.of(request.template, request.free)
         return cls(family, coordinates, observe(request), family.hidden_from(request))
 
+    def in_frame(self, frame: AbstractSurface) -> Joint:
+        """The same joint fit in the frame of another template."""
+        coordinates = Coordinates.of(frame, self.coordinates.free)
+        return dataclasses.replace(self, coordinates=coordinates)
+
     @property
     def observed(self) -> list[AbstractObserved]:
         """The likelihoods of all observations, without the indices."""
@@ -121,6 +126,11 @@ class Followed:
     end: Iterate
     held: tuple[str, ...]
 
+    @property
+    def cost(self) -> float:
+        """The χ² of the end, by which ends are compared; infinite if it has none."""
+        return self.end.chi2 if np.isfinite(self.end.chi2) else np.inf
+
     def labelled(self, prefix: str) -> Followed:
         """The same with words before its label."""
         label = f"{prefix}, {self.end.label}"
@@ -140,7 +150,7 @@ def fit_joint(family: AbstractFamily, request: Request) -> list[Iterate]:
         The end of each start, the best first, with residuals in the order of the targets.
     """
     found = follow(Joint.of(family, request), request)
-    return finish(request, sorted(found, key=lambda one: one.end.chi2))
+    return finish(request, sorted(found, key=lambda one: one.cost))
 
 
 def follow(joint: Joint, request: Request, found: tuple[str, ...] = ()) -> list[Followed]:
@@ -254,7 +264,8 @@ def _outlined(
         if found[-1][0] < _RIGHT:
             break
     found.sort(key=lambda start: start[0])
-    promising = [model for misfit, model in found[:_FOLLOWED] if misfit < 3 * found[0][0] + _RIGHT]
+    least, _ = found[0]
+    promising = [model for misfit, model in found[:_FOLLOWED] if is_promising(misfit, least)]
     best = promising[0]
     has_scale = isinstance(best, Posed) and "scale" in rough.moving
     if isinstance(best, Posed) and has_scale and not scales_with_lengths(best.surface):
@@ -267,6 +278,11 @@ def _outlined(
         if all(np.max(np.abs(t - other)) > _SAME for other in different):
             different.append(t)
             yield f"outline {len(different)}", model
+
+
+def is_promising(misfit: float, least: float) -> bool:
+    """Whether a start with a misfit may still become the best, given the least misfit of all."""
+    return misfit <= 3 * least + _RIGHT
 
 
 def _rescaled(joint: Joint, rough: Coordinates, model: Posed) -> list[AbstractSurface]:

@@ -16,7 +16,7 @@ from petalfit.fitting.families.family import AbstractFamily
 from petalfit.fitting.likelihood.quadrature import Quadrature
 from petalfit.fitting.likelihood.views import ObservedViews
 from petalfit.fitting.request.request import Request
-from petalfit.fitting.silhouettes.joint import Joint
+from petalfit.fitting.silhouettes.joint import Joint, is_promising
 from petalfit.fitting.silhouettes.observing import Part
 from petalfit.fitting.solver.observer import report
 from petalfit.fitting.starts.support import Shadow, search
@@ -78,7 +78,7 @@ def image_frames(
     for misfit, model in near:
         turn = turn_in_image(model)
         apart = [abs(wrapped(turn - turn_in_image(frame))) for frame in frames]
-        if misfit <= _WORSE * best + _RIGHT and min(apart, default=np.inf) > _APART:
+        if is_promising(misfit, best) and min(apart, default=np.inf) > _APART:
             frame = model.at_rest(template) if given else _front(template, contour, turn)
             frames.append(frame)
     return frames[:most]
@@ -215,7 +215,5 @@ FRONT = np.diag([1.0, -1.0, -1.0])
 _TURNS_IN_IMAGE = np.pi / 3 * np.array([0, 1, -1, 2, -2, 3])
 # Typical length of a petal in the model's unit, for a mask without a camera.
 _TYPICAL_LENGTH = 40.0
-# A turn is followed if its misfit is at most so many times the least and this more, and if it differs
-# from others by more than this angle in rad.
-_WORSE, _RIGHT, _APART = 3.0, 0.03, 0.6
+_APART = 0.6  # rad; of turns that differ by less, one is followed
 _LOOKED_AT = 8  # number of directions, the best by support functions, in which contours are matched

@@ -75,8 +75,7 @@ class PeonyFamily(AbstractFamily):
             coordinates = Coordinates.of(request.template, names)
             ends = _from_known(coordinates, scan, request.from_template)
         else:
-            redundant = self.gauges[request.pose]
-            free = tuple(name for name in request.free if name not in redundant)
+            free = self.not_redundant(request.pose, request.free)
             template = cast(PeonyPetal, request.template)
             begun = None
             if request.begun is not None:
