@@ -12,7 +12,6 @@ steps: the fit ends where a picture of the model has the score of the target.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -142,21 +141,15 @@ def repeated(
     return expected - (scorer.score(target) - errors.begun)
 
 
-def scores_of_outlines(
-    coordinates: Coordinates,
-    t: Float[np.ndarray, " p"],
-    view: View,
-    others: Sequence[AbstractSurface],
-) -> Float[np.ndarray, "k p"]:
-    """The scores of the model at t for the outlines of other models, as if these were contours."""
-    scorer, _ = _scorer(coordinates, t, view)
-    scores = []
-    for other in others:
-        seen = outline(other, view.contour.camera)
-        match = scorer.matched.match(view.like(seen.place, seen.normal, seen.length))
-        weights = match.length / (2 * scorer.time * scorer.noise**2)
-        scores.append(scorer.rows(match).T @ (weights * match.distance))
-    return np.array(scores)
+def slopes_of_outline(
+    coordinates: Coordinates, t: Float[np.ndarray, " p"], contour: Contour, seen: Outline
+) -> Float[np.ndarray, "n p"]:
+    """Derivatives with respect to t of an outline's places along their normals, in pixels."""
+    count = len(seen.uv)
+    every = np.arange(count)
+    match = Match(seen.uv, seen.place, seen.normal, seen.place, seen.length, every >= 0, every)
+    term = term_of_rows([rows(contour, match, np.ones(count))])
+    return contour_slopes(coordinates, t, term)
 
 
 def _scorer(
@@ -170,19 +163,11 @@ def _scorer(
     seen = outline(model, view.contour.camera)
     matched = MatchedOutline.of(view, seen)
     target = matched.match(view)
-    slopes = _slopes(coordinates, t, view.contour, seen)
+    slopes = slopes_of_outline(coordinates, t, view.contour, seen)
     noise = noise or view.noise(target)
     return _Scorer(
         model, view, matched, slopes, noise, time or view.correlated(target, noise)
     ), target
-
-
-def _slopes(coordinates: Coordinates, t: np.ndarray, contour: Contour, seen: Outline) -> np.ndarray:
-    count = len(seen.uv)
-    every = np.arange(count)
-    match = Match(seen.uv, seen.place, seen.normal, seen.place, seen.length, every >= 0, every)
-    term = term_of_rows([rows(contour, match, np.ones(count))])
-    return contour_slopes(coordinates, t, term)
 
 
 def _pictures(scorer: _Scorer, shifts: np.ndarray) -> list[Match]:
