@@ -91,9 +91,9 @@ BaseOption = Annotated[
     arg(
         name="base",
         metavar="X,Y,Z",
-        help="A point near the base, in the frame of the cloud, or `other`: the end that the fit would "
-        "take for the tip. For blades with --pose rigid or similarity, whose ends may look alike. In a "
-        "mask without a camera it is a place X,Y in pixels.",
+        help="A point near the base, in the frame of the cloud or the cameras, or `other`: the end that "
+        "the fit would take for the tip. For blades with --pose rigid or similarity, whose ends may look "
+        "alike. In a mask without a camera it is a place X,Y in pixels.",
     ),
 ]
 EveryPoint = Annotated[

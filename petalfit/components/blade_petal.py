@@ -137,7 +137,10 @@ class BladePetal(AbstractDeformedSurface):
         return bent(self, u, v)
 
     def reversed(self) -> BladePetal:
-        """The blade with base and tip exchanged; of a flat blade, turned by π, the outline remains."""
+        """The blade with base and tip exchanged: in a frame at the tip, nearly the same surface.
+
+        Of a flat blade the outline remains. A roll of the tip is lost, and relief stays as it is.
+        """
         exchanged = {
             "widest": 1 - self.widest,
             "base_width": self.tip_width,
@@ -148,6 +151,10 @@ class BladePetal(AbstractDeformedSurface):
             "base_edge": self.tip_edge,
             "skew": -self.skew,
             "sickle": -self.sickle,
+            "bend_shift": -self.bend_shift,
+            "tip_roll": 0.0 * self.tip_roll,
+            "cup_base": self.cup_tip,
+            "cup_tip": self.cup_base,
         }
         return dataclasses.replace(self, **exchanged)
 

@@ -130,9 +130,11 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
             under it and its stalk are left out.
         seed: The seed of random choices; the result hardly depends on it.
         base: Which end of a blade is its base, if its pose is fitted: a point near it, in the cloud's
-            frame, or "other", the end that the fit would take for the tip. Without it, the end for which
-            the blade fits better. In a mask without a camera it is a place (x, y) in pixels; without it,
-            the lower end, unless the other one fits clearly better.
+            or the cameras' frame, or "other", the end that the fit would take for the tip. Without it,
+            the end for which the blade fits better; of masks with cameras, the one that is farther from
+            the widest place, unless the other one fits clearly better. In a mask without a camera it is
+            a place (x, y) in pixels; without it, the lower end, unless the other one fits clearly
+            better.
         every_point: Whether every step takes every point of a cloud. Otherwise a large cloud is condensed
             for all steps but the last look at it, which is faster and changes no parameter by more than
             a fraction of its error; `points_used` of the result has the numbers.

@@ -27,6 +27,7 @@ VERSION = 6
 READ = (5, VERSION)  # files of version 5 have no packed arrays
 LARGEST = 2_000_000_000  # bytes
 _ROUNDING = 1e-6  # a result at a bound may lie beyond it by rounding
+_LONGEST = 1e15  # of a petal in any unit
 _GREATEST = 1e100  # of a length in a file: volumes of more are no numbers
 
 
@@ -185,6 +186,9 @@ def model_of(file: FitFile, kind: type[AbstractSurface]) -> AbstractSurface:
         value = file.values[name]
         low, high = parameter.bounds
         rounding = _ROUNDING * (high - low)
+        if parameter.unit == "length" and file.pose_stderr:
+            # In a fitted pose lengths are in the unit of the target, which may be any.
+            low, high, rounding = (-_LONGEST if low < 0 else 0.0), _LONGEST, 0.0
         inside = low - rounding <= value <= high + rounding
         if not inside and file.status is not Status.NOT_FINITE:
             raise SchemaError(f"{name} is {value:g}, outside of its range ({low:g}, {high:g})")

@@ -160,6 +160,20 @@ def test_a_value_outside_of_its_range_is_refused(tmp_path):
         pf.FitResult.load(tmp_path / "fit.json")
 
 
+def test_in_a_fitted_pose_a_length_has_any_unit(tmp_path):
+    content = json.loads(files(tmp_path)[1])
+    name, content["pose_stderr"] = "a_x", {"shift_x": 1.0}
+    content["values"][name] = 60_000.0
+    (tmp_path / "fit.json").write_text(json.dumps(content))
+    result = pf.FitResult.load(tmp_path / "fit.json")
+    assert result.values[name] == 60_000.0
+    use(result, tmp_path)
+    content["values"][name] = -1.0
+    (tmp_path / "fit.json").write_text(json.dumps(content))
+    with pytest.raises(pf.TargetError, match="is -1, outside of its range"):
+        pf.FitResult.load(tmp_path / "fit.json")
+
+
 def test_nothing_in_a_fit_is_markup(tmp_path):
     plain = few(known_pose())
     result = dataclasses.replace(

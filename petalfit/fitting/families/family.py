@@ -135,6 +135,10 @@ class AbstractFamily(abc.ABC):
         del posed
         return None
 
+    def is_usual_way(self, model: AbstractSurface) -> bool:
+        """Whether the base of a model is where it usually is, if its outline can be read both ways."""
+        return True
+
     def outcome(self, end: Iterate) -> str:
         """The sentence by which a converged fit describes its end."""
         return f"converged after {end.rounds} rounds"

@@ -68,18 +68,16 @@ def check_base(
         targets: The targets.
     """
     in_image = is_one_image(targets)
-    if not in_image and (len(targets) > 1 or targets[0].kind != "cloud"):
-        raise TargetError(
-            "base is there for one cloud, or for one mask without a camera; leave it out for joint fits "
-            "and masks with cameras."
-        )
+    clouds = [target for target in targets if target.kind == "cloud"]
+    if clouds and len(targets) > 1:
+        raise TargetError("base is there for one cloud, or for masks; leave it out for joint fits.")
     if not in_image and pose == "known":
         raise TargetError(
             "with pose='known' the model's frame says where the base is; leave base out, or fit the pose."
         )
     if base is not None and len(base) != (2 if in_image else 3):
         raise TargetError(
-            "base is a place in pixels (x, y) in an image, and a point (x, y, z) in a cloud; received "
+            "base is a place in pixels (x, y) in an image, and a point (x, y, z) in space; received "
             f"{len(base)} numbers."
         )
 

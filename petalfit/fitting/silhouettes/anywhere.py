@@ -31,6 +31,9 @@ def fit_views_anywhere(
 ) -> list[Iterate]:
     """Fit a component that lies anywhere before the cameras of its masks.
 
+    Outlines seldom tell base and tip for certain. Of ends that are almost as good as the best, the answer
+    is one whose base is where it usually is, by the family, unless the base was given.
+
     Args:
         family: The family of the template.
         request: The request; the parameters of its pose are free.
@@ -39,16 +42,33 @@ def fit_views_anywhere(
     Returns:
         The ends for all directions that were tried, the best first.
     """
-    frames = view_frames(family, request.template, request.free, contours, _FRAMES)
+    near = view_frames(family, request.template, request.free, contours, _FRAMES)
+    frames = [model.at_rest(request.template) for model in near]
     joint = Joint.of(family, dataclasses.replace(request, template=frames[0]))
     found: list[Followed] = []
-    for k, frame in enumerate(frames):
-        report(f"following direction {k + 1} of {len(frames)}")
-        followed = follow(joint.in_frame(frame), request)
+    for k, (frame, model) in enumerate(zip(frames, near, strict=True)):
+        report(f"following direction {k + 1} of {len(near)}")
+        here = joint.in_frame(frame)
+        followed = follow(here, request, near=model.at_rest(model.surface))
         found += [one.labelled(f"direction {k + 1}") for one in followed]
+        # One mask tells so little of a blade in an unknown pose that its ends hardly matter.
+        if request.base is not None or not joint.hidden:
+            other = _other_way(family, request, joint, followed)
+            found += other
+            # Two ways that are nearly one surface are compared where both were followed as far.
+            if other and min(one.cost for one in followed) - other[0].cost > CLEAR_LEAD:
+                back = _other_way(family, request, joint, other)
+                found += [one.labelled(f"direction {k + 1}") for one in back]
         if min(one.end.residuals[0].noise for one in found) < _RIGHT_PIXELS:
             break
-    return finish(request, sorted(found, key=lambda one: one.cost))
+    found = sorted(found, key=lambda one: one.cost)
+    if request.base is not None:
+        place = np.asarray(request.base)
+        return finish(request, [one for one in found if _begins_near(one, place)] or found)
+    good = [one for one in found if one is found[0] or one.cost - found[0].cost < CLEAR_LEAD]
+    usual = [one for one in good if family.is_usual_way(one.end.model)]
+    best, *_ = usual or good
+    return finish(request, [best, *(one for one in found if one is not best)])
 
 
 def fit_in_image(family: AbstractFamily, request: Request, contour: Contour) -> list[Iterate]:
@@ -78,19 +98,35 @@ def fit_in_image(family: AbstractFamily, request: Request, contour: Contour) -> 
         followed = follow(joint.in_frame(frame), request, ("turn_z",))
         found += [one.labelled(_way(family, frame)) for one in followed]
         if request.begun is None and request.base is None:
-            best = min(followed, key=lambda one: one.cost)
-            other = family.the_other_way(cast(Posed, best.end.model))
-            if other is not None:
-                turned = joint.in_frame(other.at_rest(request.template))
-                start = other.at_rest(other.surface)
-                end = turned.follow("base and tip exchanged", start, best.held)
-                found.append(end.labelled(_way(family, other)))
+            for other in _other_way(family, request, joint, followed):
+                found.append(other.labelled(_way(family, cast(Posed, other.end.model))))
     found = _different(sorted(found, key=lambda one: one.cost))
     good = [one for one in found if one is found[0] or one.cost - found[0].cost < CLEAR_LEAD]
     if request.base is None:
         turn = min((_turn(one) for one in good), key=abs)
         good = [one for one in good if not abs(wrapped(_turn(one) - turn)) > 0.25 * np.pi]
     return finish(request, [good[0], *(one for one in found if one is not good[0])])
+
+
+def _other_way(
+    family: AbstractFamily, request: Request, joint: Joint, followed: Sequence[Followed]
+) -> list[Followed]:
+    """The end with base and tip exchanged that is reached from the best of some ends, if there is one."""
+    best = min(followed, key=lambda one: one.cost)
+    other = family.the_other_way(cast(Posed, best.end.model))
+    if other is None:
+        return []
+    turned = joint.in_frame(other.at_rest(request.template))
+    return [turned.follow("base and tip exchanged", other.at_rest(other.surface), best.held)]
+
+
+def _begins_near(followed: Followed, place: np.ndarray) -> bool:
+    """Whether a place is nearer to the base of an end than to its tip."""
+    model = followed.end.model
+    (u_low, u_high), v = model.domain
+    middle = np.full(2, 0.5 * (u_low + u_high))
+    base, tip = np.asarray(model(middle, np.array(v)), np.float64)
+    return bool(np.linalg.norm(base - place) < np.linalg.norm(tip - place))
 
 
 def _different(found: Sequence[Followed]) -> list[Followed]:

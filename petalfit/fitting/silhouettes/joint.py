@@ -33,6 +33,8 @@ _CANDIDATES = 20
 # A candidate with a misfit below this is right, and no further one is tried.
 _RIGHT = 0.03
 _FOLLOWED = 3
+# An approach goes on while the misfit falls to less than this fraction.
+_NEARER = 0.7
 _ROUNDS = 20
 _TOLERANCE = 2e-2
 # Number of scales that are tried for a mask without a camera.
@@ -153,7 +155,12 @@ def fit_joint(family: AbstractFamily, request: Request) -> list[Iterate]:
     return finish(request, sorted(found, key=lambda one: one.cost))
 
 
-def follow(joint: Joint, request: Request, found: tuple[str, ...] = ()) -> list[Followed]:
+def follow(
+    joint: Joint,
+    request: Request,
+    found: tuple[str, ...] = (),
+    near: AbstractSurface | None = None,
+) -> list[Followed]:
     """The ends of all starts of a joint fit.
 
     Args:
@@ -161,10 +168,11 @@ def follow(joint: Joint, request: Request, found: tuple[str, ...] = ()) -> list[
         request: What is asked for.
         found: Names of the parameters that the template already has nearly right: the search for starts
             keeps them.
+        near: A model that may be near the silhouettes. If it is, no other is sought.
     """
     if request.from_template:
         return [joint.follow("given", joint.coordinates.template)]
-    return [*_from_clouds(joint, request), *_from_outlines(joint, found)]
+    return [*_from_clouds(joint, request), *_from_outlines(joint, found, near)]
 
 
 def finish(request: Request, found: Sequence[Followed]) -> list[Iterate]:
@@ -229,14 +237,17 @@ def _from_clouds(joint: Joint, request: Request) -> Iterator[Followed]:
         yield joint.follow(start.label, start.model)
 
 
-def _from_outlines(joint: Joint, found: tuple[str, ...]) -> Iterator[Followed]:
+def _from_outlines(
+    joint: Joint, found: tuple[str, ...], near: AbstractSurface | None
+) -> Iterator[Followed]:
     """Ends of rough starts that follow the silhouettes, and of refined ones that are made from them."""
     if joint.views is None:
         return
     rough = joint.family.rough(joint.coordinates)
     held = tuple(name for name in rough.free if name not in rough.moving)
     rough = rough.holding((*held, *joint.hidden))
-    for label, model in _outlined(joint, joint.views, rough, (*found, *joint.family.late)):
+    late = (*found, *joint.family.late)
+    for label, model in _outlined(joint, joint.views, rough, late, near):
         yield joint.follow(label, model, held)
         finer = joint.family.refined(joint.coordinates, model, joint.clouds, joint.views)
         for name, start in finer:
@@ -244,7 +255,11 @@ def _from_outlines(joint: Joint, found: tuple[str, ...]) -> Iterator[Followed]:
 
 
 def _outlined(
-    joint: Joint, views: ObservedViews, rough: Coordinates, late: tuple[str, ...]
+    joint: Joint,
+    views: ObservedViews,
+    rough: Coordinates,
+    late: tuple[str, ...],
+    near: AbstractSurface | None,
 ) -> Iterator[Start]:
     """Different surfaces that follow the silhouettes, with their labels, the best first.
 
@@ -253,8 +268,12 @@ def _outlined(
         views: Its silhouettes.
         rough: The coordinates in which the surfaces are found.
         late: Names of parameters that are held until the surfaces nearly follow the silhouettes.
+        near: A surface that may be near them. If it is, it is the only one.
     """
     report("searching the outline")
+    if near is not None and (model := _approached(joint, rough.around(near), near)) is not None:
+        yield "outline 1", model
+        return
     first = rough.holding([*late, *(name for name in rough.free if name not in rough.moving)])
     shadows = [Shadow.of(view.contour) for view in views.views]
     found: list[tuple[float, AbstractSurface]] = []
@@ -278,6 +297,18 @@ def _outlined(
         if all(np.max(np.abs(t - other)) > _SAME for other in different):
             different.append(t)
             yield f"outline {len(different)}", model
+
+
+def _approached(joint: Joint, rough: Coordinates, model: AbstractSurface) -> AbstractSurface | None:
+    """The surface near the silhouettes that is reached from a model; None if none is reached soon."""
+    misfit, before = joint.misfit(model), np.inf
+    while misfit >= _RIGHT:
+        if not misfit < _NEARER * before:
+            return None
+        before = misfit
+        model = joint.minimise(rough, model).model
+        misfit = joint.misfit(model)
+    return model
 
 
 def is_promising(misfit: float, least: float) -> bool:

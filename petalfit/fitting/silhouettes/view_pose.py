@@ -31,14 +31,16 @@ def view_frames(
     contours: Sequence[Contour],
     most: int,
 ) -> list[Posed]:
-    """The component in frames that differ from its pose by a small turn and shift, the likeliest first.
+    """The component near its masks, in frames that differ from its pose by a small turn and shift.
+
+    The likeliest is the first.
 
     Args:
         family: The family of the component.
         template: The component.
         names: Names of all free parameters, including those of the pose.
         contours: The contours of its masks, each with its camera.
-        most: The largest number of frames to return.
+        most: The largest number of them to return.
     """
     shadows = [Shadow.of(contour) for contour in contours]
     centre = middle(shadows)
@@ -52,7 +54,7 @@ def view_frames(
         for rotation in _TURNS
     ]
     near = _nearest(family, around, names, shadows, part, _LOOKED_AT)
-    return [model.at_rest(template) for _, model in near[:most]]
+    return [model for _, model in near[:most]]
 
 
 def image_frames(

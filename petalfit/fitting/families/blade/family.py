@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar, cast
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from petalfit.compilation import prepared
 from petalfit.components import BladePetal, Posed, bare
 from petalfit.fitting.families.blade.start import BladeStart, blade_starts, compile_bending
 from petalfit.fitting.families.open_surface import CloudStart, OpenSurfaceFamily, turned_over
 from petalfit.fitting.solver.iterate import Iterate
-from petalfit.surfaces import AbstractSurface
+from petalfit.surfaces import AbstractSurface, position_and_tangents
 
 
 class BladeFamily(OpenSurfaceFamily):
@@ -57,11 +57,19 @@ class BladeFamily(OpenSurfaceFamily):
 
     def the_other_way(self, posed: Posed) -> Posed:
         blade = cast(BladePetal, posed.surface)
-        tip = np.asarray(posed(0.0, 1.0), np.float64)
-        # The midrib ends in a direction that differs by the sickle from the one in which it begins.
-        turn = Rotation.from_rotvec([0.0, 0.0, np.pi - float(blade.sickle)]).as_matrix()
+        place, tangents = position_and_tangents(posed, jnp.zeros(1), jnp.ones(1))
+        (tip,) = np.asarray(place, np.float64)
+        across, along = -np.asarray(tangents, np.float64)[:, 0]
+        along = along / np.linalg.norm(along)
+        across = across - along * (across @ along)
+        across = across / np.linalg.norm(across)
+        turned = np.stack([across, along, np.cross(across, along)], axis=-1)
         scale = np.float64(posed.placement.scale)
-        return Posed(blade.reversed(), np.asarray(posed.turned) @ turn, tip, scale)
+        return Posed(blade.reversed(), turned, tip, scale)
+
+    def is_usual_way(self, model: AbstractSurface) -> bool:
+        """Most petals are widest beyond the middle of their length."""
+        return float(cast(BladePetal, bare(model)).widest) >= 0.5
 
     def followed(self, starts: Sequence[CloudStart]) -> Sequence[CloudStart]:
         """Both ends of a long blade; of one as wide as long, every direction."""
