@@ -10,6 +10,7 @@ from petalfit.cli.fit import _base
 from petalfit.cli.status import CommandError
 from petalfit.fitting import tip_of
 from petalfit.fitting.families.registry import family_of
+from petalfit.fitting.solver.iterate import Iterate
 
 from .conftest import random_blade
 
@@ -96,6 +97,21 @@ def test_the_other_way_is_nearly_the_same_surface(seed):
     assert np.abs(ends[0][::-1] - ends[1]).max() < 0.05 * 30
 
 
+def test_a_blade_with_its_hollow_side_down_is_turned_over_in_any_pose():
+    blade = random_blade(np.random.default_rng(1)).turned_over()
+    turn = Rotation.from_rotvec([0.4, -0.7, 1.1]).as_matrix()
+    pose = (turn, np.array([5.0, -2.0, 1.0]), np.float64(3.0), 1.1, 0.2, -0.1, 0.3, 0.5, -0.2, 0.4)
+    posed = pf.components.Posed(blade, *pose)
+    names = ("length", "bend", "turn_x", "turn_y")
+    end = Iterate(posed, (), 1, 0.0, np.zeros(4), information=np.arange(16.0).reshape(4, 4))
+    over = family_of(blade).standard_form(end, names)
+    assert float(over.model.surface.bend) == -float(blade.bend)
+    u, v = np.meshgrid(np.linspace(-0.5, 0.5, 9), np.linspace(0, 1, 9))
+    np.testing.assert_allclose(over.model(-u, v), posed(u, v), rtol=0, atol=1e-4)
+    signs = np.array([1.0, -1.0, -1.0, 1.0])
+    np.testing.assert_array_equal(over.information, np.outer(signs, signs) * end.information)
+
+
 FREE = ("length", "width", "widest", "base_width", "tip_width", "bend", "cup_mid")
 EYES = np.array([[30.0, -40.0, 60.0], [-50.0, 20.0, 40.0], [20.0, 50.0, 30.0]])
 
@@ -126,6 +142,7 @@ def test_masks_from_several_sides_do_not_tell_base_and_tip(seen):
     assert "base and tip exchanged" in [rival.label for rival in usual.rivals]
     for result, place in ((usual, tip), (told, base)):
         assert np.linalg.norm(base_of(result) - place) < 0.05 * np.linalg.norm(tip - base)
+    # The hollow side is up, from whatever side the masks are.
     for name, value in (("length", 20.0), ("widest", 0.42), ("base_width", 0.2), ("bend", 0.5)):
         assert abs(told.values[name] - value) < 4 * told.stderr[name] + 1e-3
 

@@ -139,6 +139,16 @@ class AbstractFamily(abc.ABC):
         """Whether the base of a model is where it usually is, if its outline can be read both ways."""
         return True
 
+    def standard_form(self, end: Iterate, names: tuple[str, ...]) -> Iterate:
+        """The end in standard form, if several sets of parameters describe the same surface.
+
+        Args:
+            end: An end in a fitted pose.
+            names: Names of all free parameters, including those of the pose.
+        """
+        del names
+        return end
+
     def outcome(self, end: Iterate) -> str:
         """The sentence by which a converged fit describes its end."""
         return f"converged after {end.rounds} rounds"

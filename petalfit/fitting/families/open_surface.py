@@ -18,6 +18,7 @@ from petalfit.fitting.families.polish import likelier
 from petalfit.fitting.inference.discrepancy import INDEPENDENT, discrepancy_of, temperature
 from petalfit.fitting.inference.linear_rows import may_have_misfit, rows_of
 from petalfit.fitting.likelihood.condensed_sheet import COARSE, ENOUGH, FINE, CondensedSheet
+from petalfit.fitting.likelihood.observed import Residuals
 from petalfit.fitting.likelihood.relief import beside_many
 from petalfit.fitting.likelihood.sheet import Sheet
 from petalfit.fitting.outliers.scan import Scan
@@ -125,16 +126,6 @@ class OpenSurfaceFamily(AbstractFamily):
     def labels(self, starts: Sequence[CloudStart]) -> list[str]:
         """The labels of the ends in a result, given their starts, with that of the best end first."""
         return [start.label for start in starts]
-
-    def standard_form(self, end: Iterate, names: tuple[str, ...]) -> Iterate:
-        """The end in standard form, if several sets of parameters describe the same surface.
-
-        Args:
-            end: An end in a fitted pose.
-            names: Names of all free parameters, including those of the pose.
-        """
-        del names
-        return end
 
     def foresee(
         self, template: AbstractSurface, free: tuple[str, ...], pose: str
@@ -357,21 +348,27 @@ def turned_over(
         end: An end in a fitted pose; a half turn about its y axis turns the surface over.
         names: Names of all free parameters, including those of the pose.
         over: The surface turned over, in its own frame.
-        sided: Names of the parameters that change their signs. Those of the pose, which are nuisance
-            parameters, may keep theirs.
+        sided: Names of its parameters that change their signs.
     """
     model = end.model
     assert isinstance(model, Posed)
     rotation = np.asarray(model.rotation) @ np.diag([-1.0, 1.0, -1.0])
-    signs = np.where(np.isin(names, sided), -1.0, 1.0)
+    turn = (-model.turn_x, model.turn_y, -model.turn_z)
+    shift = (model.shift_x, model.shift_y, model.shift_z)
+    signs = np.where(np.isin(names, (*sided, "turn_x", "turn_z")), -1.0, 1.0)
     both = np.outer(signs, signs)
-    (seen,) = end.residuals
-    assert seen.uv is not None
-    seen = seen._replace(distance=-seen.distance, uv=seen.uv * [-1.0, 1.0])
+    frame = (in_doubles(over), rotation, model.origin, model.unit)
     return dataclasses.replace(
         end,
-        model=Posed(in_doubles(over), rotation, model.origin, model.unit),
+        model=Posed(*frame, model.scale, *shift, *turn),
         information=end.information * both,
         score_covariance=end.score_covariance * both,
-        residuals=(seen,),
+        residuals=tuple(map(_seen_from_below, end.residuals)),
     )
+
+
+def _seen_from_below(seen: Residuals) -> Residuals:
+    """Residuals of points with their sides and places for the surface turned over."""
+    if seen.uv is None:
+        return seen
+    return seen._replace(distance=-seen.distance, uv=seen.uv * [-1.0, 1.0])

@@ -64,11 +64,10 @@ def fit_views_anywhere(
     found = sorted(found, key=lambda one: one.cost)
     if request.base is not None:
         place = np.asarray(request.base)
-        return finish(request, [one for one in found if _begins_near(one, place)] or found)
-    good = [one for one in found if one is found[0] or one.cost - found[0].cost < CLEAR_LEAD]
-    usual = [one for one in good if family.is_usual_way(one.end.model)]
-    best, *_ = usual or good
-    return finish(request, [best, *(one for one in found if one is not best)])
+        found = [one for one in found if _begins_near(one, place)] or found
+    else:
+        found = _usual_first(family, found)
+    return [family.standard_form(end, request.free) for end in finish(request, found)]
 
 
 def fit_in_image(family: AbstractFamily, request: Request, contour: Contour) -> list[Iterate]:
@@ -118,6 +117,14 @@ def _other_way(
         return []
     turned = joint.in_frame(other.at_rest(request.template))
     return [turned.follow("base and tip exchanged", other.at_rest(other.surface), best.held)]
+
+
+def _usual_first(family: AbstractFamily, found: Sequence[Followed]) -> list[Followed]:
+    """Ends, of which one that is almost as good as the first comes first if its base is the usual one."""
+    good = [one for one in found if one is found[0] or one.cost - found[0].cost < CLEAR_LEAD]
+    usual = [one for one in good if family.is_usual_way(one.end.model)]
+    best, *_ = usual or good
+    return [best, *(one for one in found if one is not best)]
 
 
 def _begins_near(followed: Followed, place: np.ndarray) -> bool:
