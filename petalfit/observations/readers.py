@@ -74,7 +74,12 @@ def _check_file(path: Path) -> None:
         raise TargetError(f"cannot be opened ({_reason(error)}); check the path.") from error
     if stat.S_ISDIR(status.st_mode):
         raise TargetError("is a folder; give the path of a file in it.")
-    if path.suffix.lower() not in SUFFIXES:
+    suffix = path.suffix.lower()
+    if suffix in _OTHERS:
+        raise TargetError(
+            f"is in a format that is not read; save it as .ply from {_OTHERS[suffix]}."
+        )
+    if suffix not in SUFFIXES:
         raise TargetError(
             f"has the unknown suffix {path.suffix!r}; supported are {' '.join(SUFFIXES)}."
         )
@@ -166,3 +171,10 @@ _READERS: dict[str, Callable[[Path], "Columns | list[trimesh.parent.Geometry]"]]
 }
 
 SUFFIXES: tuple[str, ...] = tuple(_READERS)
+
+# Formats that people have and no small library reads, and a program that does.
+_OTHERS: dict[str, str] = {
+    **dict.fromkeys((".vtk", ".vtp", ".vtu", ".vts"), "ParaView"),
+    **dict.fromkeys((".ptx", ".fls", ".rcp", ".rcs", ".bin", ".dxf", ".shp"), "CloudCompare"),
+    **dict.fromkeys((".blend", ".fbx", ".dae", ".3ds", ".usd", ".usdz", ".x3d"), "Blender"),
+}

@@ -340,6 +340,13 @@ class TestFiles:
         message = r"unknown suffix '.*'; supported are \.ply \.obj .* \.npz\."
         refused(file(name, sphere("ply")), message)
 
+    @pytest.mark.parametrize(
+        ("suffix", "program"), [(".vtk", "ParaView"), (".VTP", "ParaView"), (".fbx", "Blender")]
+    )
+    def test_formats_of_other_programs(self, file, suffix, program):
+        message = f"a format that is not read; save it as .ply from {program}"
+        refused(file("a" + suffix, sphere("ply")), message)
+
     @pytest.mark.parametrize("suffix", SUFFIXES)
     def test_empty(self, file, suffix):
         refused(file("a" + suffix, ""), "is empty; export or copy it again")
