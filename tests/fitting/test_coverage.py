@@ -172,6 +172,16 @@ def test_an_outline_that_is_not_the_petals(outline, crossed, in_space, said):
     assert bool(said) == bool(reason)
 
 
+def test_a_surface_that_leaves_all_points_is_a_misfit():
+    """A robust fit whose blade slips out of a ring, where no point seems to belong to it any more."""
+    rng = np.random.default_rng(1)
+    angle, radius = rng.uniform(0, 2 * np.pi, 600), 10 * np.sqrt(rng.uniform(0.36, 1, 600))
+    height = rng.normal(0, 0.02, 600)
+    ring = np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=-1)
+    result = pf.fit_petal(ring, model=pf.BladePetal, loss="robust", throw=False)
+    assert result.status == "misfit"
+
+
 @pytest.mark.parametrize("model", [pf.BladePetal, pf.SplinePetal])
 def test_a_ring_is_no_petal(model):
     ring = flat_points(lambda radius, angle: (radius < 1) & (radius > 0.75))

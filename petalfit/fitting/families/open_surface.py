@@ -304,14 +304,17 @@ def _settled(near: Settled, scan: Scan, heat: float, least: float, large: bool) 
             sheet = Sheet(points[some], weights[some] * kept)
             near = settle(near.with_cloud(sheet, _hot(heat, sheet)), _AGAIN)
             beside = sheet.beside(near.model, near.stand.places)[:2]
-            found = scan.background.mixture(near.model, *beside, weights[some], scan.noise)
-            changed, kept = float(np.mean(np.abs(found.members - kept))), found.members
-            number += 1
-        if len(kept) < len(points):
+            new = scan.background.mixture(near.model, *beside, weights[some], scan.noise)
+            if not new.members.any():
+                # The surface has left all points. It is judged by those that it was meant for.
+                break
+            found, changed = new, float(np.mean(np.abs(new.members - kept)))
+            kept, number = new.members, number + 1
+        if found is not None and len(kept) < len(points):
             beside = beside_many(near.model, points)[:2]
             found = scan.background.mixture(near.model, *beside, weights, scan.noise)
             kept = found.members
-        members = kept
+        members = kept if found is not None else members
     sheet = Sheet(points, weights * members)
     if large:
         near = _by_passes(near, sheet, _hot(heat, sheet), least)

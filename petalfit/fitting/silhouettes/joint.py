@@ -35,7 +35,7 @@ _RIGHT = 0.03
 _FOLLOWED = 3
 # An approach goes on while the misfit falls to less than this fraction.
 _NEARER = 0.7
-_ROUNDS = 20
+_ROUNDS, _LAST_ROUNDS = 20, 40
 _TOLERANCE = 2e-2
 # Number of scales that are tried for a mask without a camera.
 _SCALES = 25
@@ -108,7 +108,8 @@ class Joint:
         held = (*held, *self.hidden)
         report(f"polishing from {label}")
         with stage("polishing"):
-            end = self.minimise(self.coordinates.holding(held).around(model), model)
+            coordinates = self.coordinates.holding(held).around(model)
+            end = self.minimise(coordinates, model, _LAST_ROUNDS)
         return Followed(self, end, evaluate(self.coordinates, label, self.observed, end), held)
 
 
