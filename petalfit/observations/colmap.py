@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
-
-import numpy as np
 
 from petalfit.observations.camera import Camera
 from petalfit.observations.errors import TargetError
@@ -96,8 +95,9 @@ def _camera(image: _Image, known: _Intrinsics) -> Camera:
         )
     focal_x, focal_y = known.params[0], known.params[focals - 1]
     centre_x, centre_y = known.params[focals : focals + 2]
-    if not np.linalg.norm(image.quaternion) > 0:
-        raise TargetError(f"the rotation of {image.name} is 0 or no number.")
+    # A unit quaternion; other programs may round it.
+    if not 0.5 < math.hypot(*image.quaternion) < 2:
+        raise TargetError(f"the rotation of {image.name} is no unit quaternion; export it again.")
     rotation = Rotation.from_quat(image.quaternion, scalar_first=True).as_matrix()
     return Camera.perspective(
         [[focal_x, 0, centre_x], [0, focal_y, centre_y], [0, 0, 1]],

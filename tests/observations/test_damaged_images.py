@@ -2,6 +2,7 @@
 
 import io
 import json
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -41,8 +42,18 @@ def one_camera():
     return json.dumps(camera.to_json()).encode()
 
 
-def colmap_text():
-    return b"1 0.5 0.5 0.5 0.5 1 2 3 1 a.png\n\n2 1 0 0 0 0 0 9 1 b.png\n1 2 3\n"
+def colmap():
+    """The files of two models of COLMAP: cameras and images, as text and in binary."""
+    images = struct.pack("<Q", 2)
+    for number, points in ((1, 0), (2, 3)):
+        images += struct.pack("<i7di", number, 0.5, 0.5, 0.5, 0.5, 1, 2, 3, 1) + b"a.png\0"
+        images += struct.pack("<Q", points) + bytes(24 * points)
+    return {
+        "cameras.txt": b"1 OPENCV 48 48 50 50 24 24 0.1 0 0 0\n",
+        "images.txt": b"1 0.5 0.5 0.5 0.5 1 2 3 1 a.png\n\n2 1 0 0 0 0 0 9 1 b.png\n1 2 3\n",
+        "cameras.bin": struct.pack("<QiiQQ8d", 1, 1, 4, 48, 48, 50, 50, 24, 24, 0.1, 0, 0, 0),
+        "images.bin": images,
+    }
 
 
 READERS = {
@@ -116,12 +127,30 @@ def test_many_mutations_end_in_a_sentence(tmp_path, kind):
     read_mutations(tmp_path, kind, range(FEW, FEW + MANY))
 
 
-def test_mutated_models_of_colmap(tmp_path):
-    (tmp_path / "cameras.txt").write_text("1 OPENCV 48 48 50 50 24 24 0.1 0 0 0\n")
-    path = tmp_path / "images.txt"
-    for seed in range(FEW):
-        path.write_bytes(mutated(colmap_text(), np.random.default_rng(seed), True))
-        assert is_sentence(complaint(lambda: read_cameras(path))), seed
+def read_mutated_models(folder: Path, name: str, seeds: range) -> None:
+    suffix = Path(name).suffix
+    for other, content in colmap().items():
+        if other.endswith(suffix):
+            (folder / other).write_bytes(content)
+    assert not complaint(lambda: read_cameras(folder))
+    for seed in seeds:
+        content = mutated(colmap()[name], np.random.default_rng(seed), suffix == ".txt")
+        (folder / name).write_bytes(content)
+        try:
+            assert is_sentence(complaint(lambda: read_cameras(folder)))
+        except Exception as error:
+            raise AssertionError(f"seed {seed} of {name}") from error
+
+
+@pytest.mark.parametrize("name", colmap())
+def test_mutated_models_of_colmap(tmp_path, name):
+    read_mutated_models(tmp_path, name, range(FEW))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", colmap())
+def test_many_mutated_models_of_colmap(tmp_path, name):
+    read_mutated_models(tmp_path, name, range(FEW, FEW + MANY))
 
 
 @pytest.mark.skipif(not CASES.is_dir(), reason="the cases are not here")
