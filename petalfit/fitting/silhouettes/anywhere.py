@@ -11,7 +11,7 @@ import numpy as np
 from petalfit.components import Posed
 from petalfit.fitting.families.family import AbstractFamily
 from petalfit.fitting.request.request import Request
-from petalfit.fitting.silhouettes.joint import Followed, Joint, finish, follow
+from petalfit.fitting.silhouettes.joint import Followed, Joint, approach, finish, follow
 from petalfit.fitting.silhouettes.view_pose import image_frames, turn_in_image, view_frames, wrapped
 from petalfit.fitting.solver.iterate import Iterate
 from petalfit.fitting.solver.observer import report
@@ -21,6 +21,8 @@ from petalfit.results import CLEAR_LEAD
 # Number of directions from which a component in an unknown pose before cameras is fitted, and the noise
 # of contour distances, in pixels, below which no further direction is tried.
 _FRAMES, _RIGHT_PIXELS = 3, 0.5
+# Noise of binary masks that have no errors but those of their pixels. An end with as little is right.
+_PIXELS = 0.35
 # Two ends are the same if no place of a grid of so many nodes a side differs by more sizes of the petal.
 _NODES, _SAME = 9, 0.01
 _WAYS = ("up", "to the left", "down", "to the right")
@@ -49,7 +51,9 @@ def fit_views_anywhere(
     for k, (frame, model) in enumerate(zip(frames, near, strict=True)):
         report(f"following direction {k + 1} of {len(near)}")
         here = joint.in_frame(frame)
-        followed = follow(here, request, near=model.at_rest(model.surface))
+        followed = approach(here, model.at_rest(model.surface))
+        if not any(_noise(one) < _PIXELS for one in followed):
+            followed += follow(here, request)
         found += [one.labelled(f"direction {k + 1}") for one in followed]
         # One mask tells so little of a blade in an unknown pose that its ends hardly matter.
         if request.base is not None or not joint.hidden:
@@ -59,7 +63,7 @@ def fit_views_anywhere(
             if other and min(one.cost for one in followed) - other[0].cost > CLEAR_LEAD:
                 back = _other_way(family, request, joint, other)
                 found += [one.labelled(f"direction {k + 1}") for one in back]
-        if min(one.end.residuals[0].noise for one in found) < _RIGHT_PIXELS:
+        if min(map(_noise, found)) < _RIGHT_PIXELS:
             break
     found = sorted(found, key=lambda one: one.cost)
     if request.base is not None:
@@ -117,6 +121,11 @@ def _other_way(
         return []
     turned = joint.in_frame(other.at_rest(request.template))
     return [turned.follow("base and tip exchanged", other.at_rest(other.surface), best.held)]
+
+
+def _noise(followed: Followed) -> float:
+    """The noise of contour distances at an end, in pixels."""
+    return followed.end.residuals[0].noise
 
 
 def _usual_first(family: AbstractFamily, found: Sequence[Followed]) -> list[Followed]:

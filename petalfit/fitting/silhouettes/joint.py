@@ -156,12 +156,7 @@ def fit_joint(family: AbstractFamily, request: Request) -> list[Iterate]:
     return finish(request, sorted(found, key=lambda one: one.cost))
 
 
-def follow(
-    joint: Joint,
-    request: Request,
-    found: tuple[str, ...] = (),
-    near: AbstractSurface | None = None,
-) -> list[Followed]:
+def follow(joint: Joint, request: Request, found: tuple[str, ...] = ()) -> list[Followed]:
     """The ends of all starts of a joint fit.
 
     Args:
@@ -169,11 +164,24 @@ def follow(
         request: What is asked for.
         found: Names of the parameters that the template already has nearly right: the search for starts
             keeps them.
-        near: A model that may be near the silhouettes. If it is, no other is sought.
     """
     if request.from_template:
         return [joint.follow("given", joint.coordinates.template)]
-    return [*_from_clouds(joint, request), *_from_outlines(joint, found, near)]
+    return [*_from_clouds(joint, request), *_from_outlines(joint, found)]
+
+
+def approach(joint: Joint, model: AbstractSurface) -> list[Followed]:
+    """The end of a model that may be near the silhouettes; none if they are not reached soon."""
+    report("approaching the outline")
+    rough, held = _roughly(joint)
+    misfit, before = joint.misfit(model), np.inf
+    while misfit >= _RIGHT:
+        if not misfit < _NEARER * before:
+            return []
+        before = misfit
+        model = joint.minimise(rough.around(model), model).model
+        misfit = joint.misfit(model)
+    return [joint.follow("nearest outline", model, held)]
 
 
 def finish(request: Request, found: Sequence[Followed]) -> list[Iterate]:
@@ -238,29 +246,27 @@ def _from_clouds(joint: Joint, request: Request) -> Iterator[Followed]:
         yield joint.follow(start.label, start.model)
 
 
-def _from_outlines(
-    joint: Joint, found: tuple[str, ...], near: AbstractSurface | None
-) -> Iterator[Followed]:
+def _from_outlines(joint: Joint, found: tuple[str, ...]) -> Iterator[Followed]:
     """Ends of rough starts that follow the silhouettes, and of refined ones that are made from them."""
     if joint.views is None:
         return
-    rough = joint.family.rough(joint.coordinates)
-    held = tuple(name for name in rough.free if name not in rough.moving)
-    rough = rough.holding((*held, *joint.hidden))
-    late = (*found, *joint.family.late)
-    for label, model in _outlined(joint, joint.views, rough, late, near):
+    rough, held = _roughly(joint)
+    for label, model in _outlined(joint, joint.views, rough, (*found, *joint.family.late)):
         yield joint.follow(label, model, held)
         finer = joint.family.refined(joint.coordinates, model, joint.clouds, joint.views)
         for name, start in finer:
             yield joint.follow(name, start)
 
 
+def _roughly(joint: Joint) -> tuple[Coordinates, tuple[str, ...]]:
+    """Coordinates for a rough fit to outlines, and the names of the parameters that the family holds."""
+    rough = joint.family.rough(joint.coordinates)
+    held = tuple(name for name in rough.free if name not in rough.moving)
+    return rough.holding((*held, *joint.hidden)), held
+
+
 def _outlined(
-    joint: Joint,
-    views: ObservedViews,
-    rough: Coordinates,
-    late: tuple[str, ...],
-    near: AbstractSurface | None,
+    joint: Joint, views: ObservedViews, rough: Coordinates, late: tuple[str, ...]
 ) -> Iterator[Start]:
     """Different surfaces that follow the silhouettes, with their labels, the best first.
 
@@ -269,12 +275,8 @@ def _outlined(
         views: Its silhouettes.
         rough: The coordinates in which the surfaces are found.
         late: Names of parameters that are held until the surfaces nearly follow the silhouettes.
-        near: A surface that may be near them. If it is, it is the only one.
     """
     report("searching the outline")
-    if near is not None and (model := _approached(joint, rough.around(near), near)) is not None:
-        yield "outline 1", model
-        return
     first = rough.holding([*late, *(name for name in rough.free if name not in rough.moving)])
     shadows = [Shadow.of(view.contour) for view in views.views]
     found: list[tuple[float, AbstractSurface]] = []
@@ -298,18 +300,6 @@ def _outlined(
         if all(np.max(np.abs(t - other)) > _SAME for other in different):
             different.append(t)
             yield f"outline {len(different)}", model
-
-
-def _approached(joint: Joint, rough: Coordinates, model: AbstractSurface) -> AbstractSurface | None:
-    """The surface near the silhouettes that is reached from a model; None if none is reached soon."""
-    misfit, before = joint.misfit(model), np.inf
-    while misfit >= _RIGHT:
-        if not misfit < _NEARER * before:
-            return None
-        before = misfit
-        model = joint.minimise(rough, model).model
-        misfit = joint.misfit(model)
-    return model
 
 
 def is_promising(misfit: float, least: float) -> bool:
