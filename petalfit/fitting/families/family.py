@@ -137,6 +137,7 @@ class AbstractFamily(abc.ABC):
 
     def is_usual_way(self, model: AbstractSurface) -> bool:
         """Whether the base of a model is where it usually is, if its outline can be read both ways."""
+        del model
         return True
 
     def standard_form(self, end: Iterate, names: tuple[str, ...]) -> Iterate:

@@ -51,7 +51,9 @@ def fit_views_anywhere(
     for k, (frame, model) in enumerate(zip(frames, near, strict=True)):
         report(f"following direction {k + 1} of {len(near)}")
         here = joint.in_frame(frame)
-        followed = approach(here, model.at_rest(model.surface))
+        followed: list[Followed] = []
+        if here.views is not None and not request.from_template:
+            followed += approach(here, here.views, model.at_rest(model.surface))
         if not any(_noise(one) < _PIXELS for one in followed):
             followed += follow(here, request)
         found += [one.labelled(f"direction {k + 1}") for one in followed]

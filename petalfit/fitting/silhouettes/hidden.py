@@ -20,8 +20,8 @@ from petalfit.results import quantile
 from petalfit.surfaces import AbstractSurface, Outline, outline, value_at
 
 _DRAWS = 24
-# The first step from the end to a draw, and the shortest. The target may have no shape that cannot be
-# followed in such steps.
+# The first step from the end to a draw, and the shortest. What of a draw cannot be followed in such steps
+# does not count: the target has no such shape.
 _STEP, _SHORTEST = 0.5, 0.1
 _TRIES = 6  # of the shown parameters, in each step
 _ENOUGH = 0.9  # tries end when the misfit falls by less than to this fraction
@@ -102,10 +102,8 @@ class _Bent:
         kept = [name not in names for name in values]
         shown = {name: value for name, value in values.items() if name not in names}
         hidden = {name: values[name] for name in names}
-        spread, here = (
-            typical_spread(tuple(shown), parameters(model)),
-            np.array(list(shown.values())),
-        )
+        spread = typical_spread(tuple(shown), parameters(model))
+        here = np.array(list(shown.values()))
         middle, half = coordinates.middle[kept], coordinates.half[kept]
         low, high = (middle - half - here) / spread, (middle + half - here) / spread
         low, high = np.minimum(low, 0.0), np.maximum(high, 0.0)

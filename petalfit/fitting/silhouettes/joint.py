@@ -170,8 +170,8 @@ def follow(joint: Joint, request: Request, found: tuple[str, ...] = ()) -> list[
     return [*_from_clouds(joint, request), *_from_outlines(joint, found)]
 
 
-def approach(joint: Joint, model: AbstractSurface) -> list[Followed]:
-    """The end of a model that may be near the silhouettes; none if they are not reached soon."""
+def approach(joint: Joint, views: ObservedViews, model: AbstractSurface) -> list[Followed]:
+    """The ends of a model that may be near the silhouettes; none if they are not reached soon."""
     report("approaching the outline")
     rough, held = _roughly(joint)
     misfit, before = joint.misfit(model), np.inf
@@ -181,7 +181,7 @@ def approach(joint: Joint, model: AbstractSurface) -> list[Followed]:
         before = misfit
         model = joint.minimise(rough.around(model), model).model
         misfit = joint.misfit(model)
-    return [joint.follow("nearest outline", model, held)]
+    return [*_polished(joint, views, "nearest outline", model, held)]
 
 
 def finish(request: Request, found: Sequence[Followed]) -> list[Iterate]:
@@ -252,10 +252,20 @@ def _from_outlines(joint: Joint, found: tuple[str, ...]) -> Iterator[Followed]:
         return
     rough, held = _roughly(joint)
     for label, model in _outlined(joint, joint.views, rough, (*found, *joint.family.late)):
-        yield joint.follow(label, model, held)
-        finer = joint.family.refined(joint.coordinates, model, joint.clouds, joint.views)
-        for name, start in finer:
-            yield joint.follow(name, start)
+        yield from _polished(joint, joint.views, label, model, held)
+
+
+def _polished(
+    joint: Joint,
+    views: ObservedViews,
+    label: str,
+    model: AbstractSurface,
+    held: tuple[str, ...],
+) -> Iterator[Followed]:
+    """The end of a rough model that follows the silhouettes, and of refined starts made from it."""
+    yield joint.follow(label, model, held)
+    for name, start in joint.family.refined(joint.coordinates, model, joint.clouds, views):
+        yield joint.follow(name, start)
 
 
 def _roughly(joint: Joint) -> tuple[Coordinates, tuple[str, ...]]:
