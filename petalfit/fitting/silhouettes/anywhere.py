@@ -106,7 +106,7 @@ def fit_in_image(family: AbstractFamily, request: Request, contour: Contour) -> 
             for other in _other_way(family, request, joint, followed):
                 found.append(other.labelled(_way(family, cast(Posed, other.end.model))))
     found = _different(sorted(found, key=lambda one: one.cost))
-    good = [one for one in found if one is found[0] or one.cost - found[0].cost < CLEAR_LEAD]
+    good = _as_good(found)
     if request.base is None:
         turn = min((_turn(one) for one in good), key=abs)
         good = [one for one in good if not abs(wrapped(_turn(one) - turn)) > 0.25 * np.pi]
@@ -130,9 +130,14 @@ def _noise(followed: Followed) -> float:
     return followed.end.residuals[0].noise
 
 
+def _as_good(found: Sequence[Followed]) -> list[Followed]:
+    """The first of several ends, and those that are almost as good."""
+    return [one for one in found if one is found[0] or one.cost - found[0].cost < CLEAR_LEAD]
+
+
 def _usual_first(family: AbstractFamily, found: Sequence[Followed]) -> list[Followed]:
     """Ends, of which one that is almost as good as the first comes first if its base is the usual one."""
-    good = [one for one in found if one is found[0] or one.cost - found[0].cost < CLEAR_LEAD]
+    good = _as_good(found)
     usual = [one for one in good if family.is_usual_way(one.end.model)]
     best, *_ = usual or good
     return [best, *(one for one in found if one is not best)]

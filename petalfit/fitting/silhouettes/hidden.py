@@ -13,7 +13,7 @@ from scipy.special import stdtrit
 from petalfit.components import parameters
 from petalfit.fitting.coordinates import Coordinates, evenly_spread, with_values
 from petalfit.fitting.inference.identifiability import typical_spread
-from petalfit.fitting.likelihood.matching import Match, MatchedOutline, View
+from petalfit.fitting.likelihood.matching import Match, View
 from petalfit.fitting.likelihood.pixels import slopes_of_outline
 from petalfit.fitting.solver.iterate import Iterate
 from petalfit.results import quantile
@@ -118,7 +118,7 @@ class _Bent:
         names = (*self.shown, *self.hidden)
         model = with_values(self.coordinates.template, dict(zip(names, values, strict=True)))
         seen = outline(model, self.view.contour.camera)
-        match = MatchedOutline.of(self.view, seen).match(self.view)
+        match = self.view.matched(seen)
         distance = np.minimum(np.abs(match.distance), _TEMPERED * self.view.kernel)
         misfit = float(np.sqrt(np.average(distance**2, weights=match.length)))
         return _Place(moved, model, seen, match, misfit)
