@@ -23,7 +23,7 @@ from petalfit.surfaces.programs import grid_positions
 
 PLACES = 1536  # a fixed number, so that all outlines share one compiled program
 _OUTSIDE = 1e-3  # pixels between an edge and the place just outside of it
-_MOST = 4_000_000  # pairs of places and edges that are processed at a time
+_BAND = 64  # places, neighbours in y, whose sheets are counted at a time
 
 
 class Edges(NamedTuple):
@@ -144,17 +144,18 @@ def sheets(
 ) -> Int[np.ndarray, " n"]:
     """The number of sheets of the mesh at places of the image that do not lie on an edge."""
     (start_x, start_y), (end_x, end_y) = xy[edges.start].T, xy[edges.end].T
-    rises = end_y > start_y
-    count = np.where(rises, 1.0, -1.0) * edges.sheets
+    count = np.where(end_y > start_y, 1.0, -1.0) * edges.sheets
     low, high = np.minimum(start_y, end_y), np.maximum(start_y, end_y)
     slope = (end_x - start_x) / np.where(end_y == start_y, 1.0, end_y - start_y)
     found = np.empty(len(places), int)
-    step = max(1, _MOST // max(1, len(count)))
-    for first in range(0, len(places), step):
-        x, y = places[first : first + step, :1], places[first : first + step, 1:]
-        # Whether a ray from the place to the right meets the edge.
-        met = (low <= y) & (y < high) & (start_x + (y - start_y) * slope > x)
-        found[first : first + step] = np.rint(met @ count)
+    order = np.argsort(places[:, 1])
+    for some in np.split(order, range(_BAND, len(order), _BAND)):
+        x, y = places[some, :1], places[some, 1:]
+        # Whether a ray from the place to the right meets the edge; few edges reach the band of places.
+        near = np.flatnonzero((low <= y[-1:, 0]) & (y[:1, 0] < high))
+        met = (low[near] <= y) & (y < high[near])
+        met &= start_x[near] + (y - start_y[near]) * slope[near] > x
+        found[some] = np.rint(met @ count[near])
     return found
 
 
