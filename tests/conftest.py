@@ -48,6 +48,10 @@ def pytest_configure(config: pytest.Config) -> None:
     patch = pytest.MonkeyPatch()
     patch.setenv("PETALFIT_CACHE", folder.name)
     patch.setenv("XLA_FLAGS", " ".join([os.environ.get("XLA_FLAGS", ""), *_known_flags()]).strip())
+    # A thread for each core in each of as many processes would wait for the others, spinning.
+    patch.setenv("OPENBLAS_NUM_THREADS", os.environ.get("OPENBLAS_NUM_THREADS", "1"))
+    # A thread for each core in each of as many processes would wait for the others, spinning.
+    patch.setenv("OPENBLAS_NUM_THREADS", os.environ.get("OPENBLAS_NUM_THREADS", "1"))
     config.add_cleanup(folder.cleanup)
     config.add_cleanup(patch.undo)
 

@@ -9,11 +9,13 @@ from scipy.stats import norm
 
 from petalfit.residuals import potential
 
+compiled = jax.jit(potential)
+
 
 def of(x, half, rho):
     with jax.enable_x64(True):
         x, half = map(jnp.asarray, np.broadcast_arrays(x, half))
-        return [np.asarray(part) for part in potential(x, half, jnp.asarray(rho))]
+        return [np.asarray(part) for part in compiled(x, half, jnp.asarray(rho))]
 
 
 @pytest.mark.parametrize("rho", [0.1, 0.6, 0.95])
