@@ -113,8 +113,8 @@ figure.tight_layout()
 #
 # With a similarity pose the fit holds the length of a blade and determines the scale. Angles and ratios
 # are those of the scan. The residuals are not noise, as the map shows: in patches of one colour the
-# scan has a shape that the blade cannot take. The standard errors account for noise only, so the result
-# has a warning.
+# scan has a shape that the blade cannot take. The result has a warning, and its standard errors allow for
+# the misfit (`stderr_noise` has those of noise alone).
 
 # %%
 shown = ("width", "widest", "tip_width", "skew", "bend", "tip_roll", "cup_base", "cup_mid", "twist")
@@ -134,6 +134,7 @@ pictures.table(
 print("\n".join(blade.warnings))
 assert any("systematic" in words for words in blade.warnings)
 assert blade.misfit is not None
+assert all(blade.stderr[name] > blade.stderr_noise[name] for name in ("width", "bend"))
 
 # %% [markdown]
 # ## Rotated, scaled and shuffled
