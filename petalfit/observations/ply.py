@@ -296,7 +296,8 @@ class _Rows:
         """The triangles that the polygons in one of the lists consist of."""
         k = next(k for k, (at, *_) in enumerate(self.lists) if at == index)
         _, _, counted, width = self.lists[k]
-        kind, found = self.element.properties[index].kind, [np.empty((0, 3), np.int64)]
+        kind = self.element.properties[index].kind
+        found: list[np.ndarray] = [np.empty((0, 3), np.int64)]
         for length in np.unique(self.lengths[k]):
             if length < 3:
                 continue
