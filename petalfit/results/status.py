@@ -12,7 +12,7 @@ class Status(WithMeaning):
         meaning: The explanation of the outcome, in one sentence.
     """
 
-    CONVERGED = "converged", "The solver settled on a model that follows the target."
+    CONVERGED = "converged", "The solver ended at a model that follows the target."
     ROUND_LIMIT = "round_limit", "The parameters still moved when the last iteration ended."
     MISFIT = "misfit", "The target is far from every shape that the model can take."
     NOT_FINITE = "not_finite", "The solver met values that are not finite."

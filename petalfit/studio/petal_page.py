@@ -105,7 +105,7 @@ class PetalPage:
             self._take(mask, f"a mask with the camera of {file.name}", "known", "linear")
         elif isinstance(read, FitResult):
             self._take(read.agreements[0].target, f"the fit of {file.name}", "known", "linear")
-            self._settle(read)
+            self._present(read)
             self._session.begin(lambda _: self._prepare_sliders(read))
         elif isinstance(read, FlowerResult):
             raise TargetError(f"{file.name} is a whole flower; open it on the page Flower scan.")
@@ -210,7 +210,7 @@ class PetalPage:
             with looking_on(look):
                 return fit_petal(target, throw=False, progress=tell, **options)
 
-        outcome = session.outcome_of(work, fit, self._settle, self._called_off)
+        outcome = session.outcome_of(work, fit, self._present, self._called_off)
         with session.turn():
             if not session.wants(work):
                 return
@@ -267,7 +267,7 @@ class PetalPage:
                 if self._is_edited:
                     self.draw()
 
-    def _settle(self, result: FitResult) -> None:
+    def _present(self, result: FitResult) -> None:
         """Shows the result of a fit."""
         self._result, self._model = result, result.model
         self._controls.verdict.content = words.verdict(result)

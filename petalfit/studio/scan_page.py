@@ -131,7 +131,7 @@ class ScanPage:
         read = read_upload(file.name, file.content, SEEN)
         if isinstance(read, FlowerResult):
             self._take(read.target, f"the flower of {file.name}")
-            self._settle(read)
+            self._present(read)
         elif isinstance(read, PointCloud):
             self._take(read, f"{file.name}, {read.described}")
         else:
@@ -190,7 +190,7 @@ class ScanPage:
             with watching_petals(look):
                 return fit_flower(cloud, throw=False, progress=tell, **options)
 
-        outcome = session.outcome_of(work, fit, self._settle, self._called_off)
+        outcome = session.outcome_of(work, fit, self._present, self._called_off)
         with session.turn():
             if not session.wants(work):
                 return
@@ -211,7 +211,7 @@ class ScanPage:
     def _called_off(self) -> None:
         self._state.content = words.soft("cancelled")
 
-    def _settle(self, result: FlowerResult) -> None:
+    def _present(self, result: FlowerResult) -> None:
         """Shows the flower that was found."""
         self._result = result
         self._verdict.content = words.flower(result)

@@ -141,7 +141,7 @@ class Session:
         self,
         work: Work,
         fit: Callable[[], Result],
-        settle: Callable[[Result], None],
+        present: Callable[[Result], None],
         called_off: Callable[[], None],
     ) -> Callable[[], None]:
         """Runs a fit with compiled programs, and returns what the page has to do at its end.
@@ -149,7 +149,7 @@ class Session:
         Args:
             work: The work that the fit belongs to.
             fit: The fit.
-            settle: What the page does with its result.
+            present: What the page does with its result.
             called_off: What the page does if the work was cancelled. An error is raised when it is its
                 turn, so that the page shows it.
         """
@@ -161,7 +161,7 @@ class Session:
             return called_off
         except Exception as error:
             return _raising(error)
-        return lambda: settle(result)
+        return lambda: present(result)
 
     def begin(self, do: Callable[[Work], None]) -> None:
         """Starts a fit in the background, as the only one that the page reports."""

@@ -12,7 +12,7 @@ from petalfit.fitting.likelihood.cells import Cells, condense
 from petalfit.fitting.likelihood.condensed_sheet import COARSE, ENOUGH, FINE, CondensedSheet
 from petalfit.fitting.likelihood.relief import Relief, beside_many
 from petalfit.fitting.likelihood.sheet import Sheet
-from petalfit.fitting.solver.settle import Settling
+from petalfit.fitting.solver.descent import Descent
 
 BLADE = pf.BladePetal(length=2.0, width=0.7, bend=0.9, cup_mid=0.5, twist=0.2, tip_roll=0.3)
 FREE = ("length", "width", "widest", "tip_width", "tip_taper", "bend", "cup_mid", "twist")
@@ -60,15 +60,15 @@ def test_distances_are_those_of_the_search_point_by_point(points):
 def test_the_cost_changes_as_that_of_all_points(points, cells, error):
     with jax.enable_x64(True):
         sheet = Sheet(points, np.ones(len(points)))
-        made = Settling.of(BLADE, FREE, sheet, NOISE)
+        made = Descent.of(BLADE, FREE, sheet, NOISE)
         here = made.start(BLADE)
         spread = 1 / np.sqrt(np.diag(here.information))
         few = CondensedSheet.of(sheet, BLADE, 1.1 * NOISE, cells)
-        other = Settling.of(BLADE, FREE, few, NOISE)
+        other = Descent.of(BLADE, FREE, few, NOISE)
         for seed in range(3):
             step = np.random.default_rng(seed).normal(size=len(spread)) * spread
             step[-2:] = 0.0
-            all_of, condensed = (one.stand_anywhere(here.z + step) for one in (made, other))
+            all_of, condensed = (one.evaluate_anywhere(here.z + step) for one in (made, other))
             wrong = np.linalg.solve(all_of.information, all_of.gradient - condensed.gradient)
             errors = np.sqrt(np.diag(np.linalg.inv(all_of.information)))
             assert np.all(np.abs(wrong) < error * errors)

@@ -317,12 +317,12 @@ def _result(
     declared = parameters(coordinates.template)
     sigma = noise or float(np.sqrt(best.chi2 / max(np.sum(weights) - len(names), 1.0)))
     sigma = max(sigma, 1e-12)
-    settled = [_in_units_of(sigma, coordinates, end) for end in ends]
-    model = jax.tree.map(float, settled[0].model)
+    scaled = [_in_units_of(sigma, coordinates, end) for end in ends]
+    model = jax.tree.map(float, scaled[0].model)
     values = {name: float(value_at(model, name)) for name in declared}
     shown = np.asarray(_look(coordinates, _Data(texture.uv, seen.intensity, weights), best.t))
-    starts = tuple(_start(end, settled[0].chi2, names, sigma) for end in settled)
-    matrix, stderr, close = _uncertainty(settled, starts, declared)
+    starts = tuple(_start(end, scaled[0].chi2, names, sigma) for end in scaled)
+    matrix, stderr, close = _uncertainty(scaled, starts, declared)
     mean = np.average(seen.intensity, weights=weights)
     gain = (np.sum(weights * (seen.intensity - mean) ** 2) - best.chi2) / sigma**2
     nothing = bool(gain < CLEAR_LEAD + 2 * len(names))
@@ -380,12 +380,12 @@ def _result(
 
 
 def _uncertainty(
-    settled: list[Iterate], starts: tuple[Start, ...], declared: dict[str, Parameter]
+    scaled: list[Iterate], starts: tuple[Start, ...], declared: dict[str, Parameter]
 ) -> tuple[Float[np.ndarray, "p p"], dict[str, float], tuple[Start, ...]]:
     """Covariance and errors, infinite for parameters in which rivals differ, and these rivals."""
     names = tuple(starts[0].values)
-    found = known(settled, names, declared)
-    matrix = covariance(settled[0], names, declared, found)
+    found = known(scaled, names, declared)
+    matrix = covariance(scaled[0], names, declared, found)
     stderr = standard_errors(names, matrix)
     close = rivals(starts, stderr, declared)
     for k, name in enumerate(names):

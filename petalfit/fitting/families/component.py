@@ -39,11 +39,11 @@ class ComponentFamily(AbstractFamily):
 
         polish = Polishing(scan, coordinates)
 
-        def settle(label: str, model: AbstractSurface, prior: Prior | None) -> Iterate | None:
+        def end_of(label: str, model: AbstractSurface, prior: Prior | None) -> Iterate | None:
             end = polish(label, model, prior)
             return None if end is None else _uniformly_covered(end, scan)
 
-        best, *others = follow(coordinates, starts, settle)
+        best, *others = follow(coordinates, starts, end_of)
         return [with_all_points(best, 0, request.cloud), *others]
 
 

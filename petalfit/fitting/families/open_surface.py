@@ -1,4 +1,4 @@
-"""Families of open surfaces in any pose, brought near a cloud from a few starts and settled there."""
+"""Families of open surfaces in any pose: a few starts, and descents from them to a stationary point."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from petalfit.fitting.outliers.scan import Scan
 from petalfit.fitting.request.checks import POSES
 from petalfit.fitting.request.request import Request, scan_of
 from petalfit.fitting.solver.all_points import with_all_points
+from petalfit.fitting.solver.descent import Descent, DescentEnd, begun, descend
 from petalfit.fitting.solver.iterate import Iterate, best_first
 from petalfit.fitting.solver.observer import report
-from petalfit.fitting.solver.settle import Settled, Settling, begun, settle
 from petalfit.fitting.starts.frame import NormalisedFrame
 from petalfit.observations import PointCloud
 from petalfit.residuals import pulled
@@ -121,7 +121,7 @@ class OpenSurfaceFamily(AbstractFamily):
         """
 
     def followed(self, starts: Sequence[CloudStart]) -> Sequence[CloudStart]:
-        """The starts from which the surface is settled, of all that were found."""
+        """The starts of descents, of all starts that were found."""
         return starts[:_FOLLOWED]
 
     def labels(self, starts: Sequence[CloudStart]) -> list[str]:
@@ -141,7 +141,7 @@ class OpenSurfaceFamily(AbstractFamily):
         sheet = Sheet(points, np.ones(_ROUGHLY))
 
         def begin() -> None:
-            begun(Settling.of(somewhere, names, sheet), somewhere)
+            begun(Descent.of(somewhere, names, sheet), somewhere)
 
         def end() -> None:
             uv = sheet.beside(somewhere, np.zeros((_ROUGHLY, 2)))[2]
@@ -158,8 +158,8 @@ class OpenSurfaceFamily(AbstractFamily):
         few = Sheet(sheets[:_ROUGHLY], masses[:_ROUGHLY])
         heat = max(len(few.points) / INDEPENDENT, 1.0)
 
-        def problem(model: AbstractSurface) -> Settling:
-            return Settling.of(model, names, few, scan.noise, heat)
+        def problem(model: AbstractSurface) -> Descent:
+            return Descent.of(model, names, few, scan.noise, heat)
 
         descents_foreseen, end_foreseen, *_ = self.foresee(
             request.template, request.free, request.pose
@@ -194,7 +194,7 @@ class OpenSurfaceFamily(AbstractFamily):
             report(f"polishing from {end.label}")
             least = min((other.chi2 for other in ends), default=np.inf)
             with stage("polishing"):
-                ends.append(_settled(end, scan, heat, least, large))
+                ends.append(_descended(end, scan, heat, least, large))
         ends = best_first(ends)
         if found:
             by_label = {start.label: start for start in found}
@@ -238,7 +238,7 @@ def _with_base_near(starts: Sequence[CloudStart], place: Float[np.ndarray, "3"])
     return min(starts, key=away)
 
 
-def _temperature(near: Settled, names: tuple[str, ...]) -> float:
+def _temperature(near: DescentEnd, names: tuple[str, ...]) -> float:
     """The temperature at which the likelihood is used, per point, judged near the cloud."""
     end, sheet = near.end(), near.problem.sheet
     if not may_have_misfit(end, len(names)):
@@ -251,41 +251,41 @@ def _temperature(near: Settled, names: tuple[str, ...]) -> float:
     return temperature(rows, found[1], total) / total
 
 
-def _roughly(starts: list[Settled]) -> list[Settled]:
+def _roughly(starts: list[DescentEnd]) -> list[DescentEnd]:
     """The ends of rough steps from the starts that may become the best, the best first."""
     if len(starts) > _LIKELY:
         starts = _promising(_stepped(starts, _FIRST))[:_LIKELY]
     return _promising(_stepped(starts, _ROUGH))
 
 
-def _stepped(starts: list[Settled], steps: int) -> list[Settled]:
+def _stepped(starts: list[DescentEnd], steps: int) -> list[DescentEnd]:
     """The ends of rough steps from some starts."""
     ends = []
     for start in starts:
         report(f"rough steps from {start.label}")
-        ends.append(settle(start, steps, _NEAR))
+        ends.append(descend(start, steps, _NEAR))
     return ends
 
 
-def _promising(near: list[Settled]) -> list[Settled]:
+def _promising(near: list[DescentEnd]) -> list[DescentEnd]:
     """The ends of descents on the same points that may still become the best, the best first."""
     near = sorted(near, key=lambda end: end.chi2)
-    best = near[0].stand.cost
+    best = near[0].point.cost
     # A step of √2k standard errors gains about k.
-    return [end for end in near if end.stand.cost - best < _HOPELESS + end.moved**2]
+    return [end for end in near if end.point.cost - best < _HOPELESS + end.moved**2]
 
 
-def _with_some(near: Settled, scan: Scan, heat: float) -> Settled:
+def _with_some(near: DescentEnd, scan: Scan, heat: float) -> DescentEnd:
     """An end near the one that all points have, by some of those that seem to belong to the surface."""
     some = np.flatnonzero(scan.likely)[:_SOME]
     sheet = Sheet(scan.points[some], scan.weights[some])
-    return settle(near.with_cloud(sheet, _hot(heat, sheet)), _ROUNDS)
+    return descend(near.with_cloud(sheet, _hot(heat, sheet)), _ROUNDS)
 
 
-def _settled(near: Settled, scan: Scan, heat: float, least: float, large: bool) -> Iterate:
+def _descended(near: DescentEnd, scan: Scan, heat: float, least: float, large: bool) -> Iterate:
     """The stationary point of the likelihood that is reached from beside the cloud.
 
-    If points may be outliers, it is settled again after each search for them. It is not followed further
+    If points may be outliers, the descent goes on after each search for them. It is not followed further
     once it clearly will not reach the χ² of another end, `least`.
 
     Args:
@@ -303,8 +303,8 @@ def _settled(near: Settled, scan: Scan, heat: float, least: float, large: bool) 
         kept, changed, number = members[some], 1.0, 0
         while changed > _UNCHANGED and number < _CLEARINGS:
             sheet = Sheet(points[some], weights[some] * kept)
-            near = settle(near.with_cloud(sheet, _hot(heat, sheet)), _AGAIN)
-            beside = sheet.beside(near.model, near.stand.places)[:2]
+            near = descend(near.with_cloud(sheet, _hot(heat, sheet)), _AGAIN)
+            beside = sheet.beside(near.model, near.point.places)[:2]
             new = scan.background.mixture(near.model, *beside, weights[some], scan.noise)
             if not new.members.any():
                 # The surface has left all points. It is judged by those that it was meant for.
@@ -320,14 +320,14 @@ def _settled(near: Settled, scan: Scan, heat: float, least: float, large: bool) 
     if large:
         near = _by_passes(near, sheet, _hot(heat, sheet), least)
     else:
-        near = settle(near.with_cloud(sheet, _hot(heat, sheet)), _ROUNDS, least=least)
+        near = descend(near.with_cloud(sheet, _hot(heat, sheet)), _ROUNDS, least=least)
     end = dataclasses.replace(near.end(), mixture=found)
     if large:
         end = dataclasses.replace(end, points_used={"last steps": len(near.problem.sheet.points)})
     return end if found is None else likelier(end, scan)
 
 
-def _by_passes(near: Settled, sheet: Sheet, temperature: float, least: float) -> Settled:
+def _by_passes(near: DescentEnd, sheet: Sheet, temperature: float, least: float) -> DescentEnd:
     """The stationary point of a large cloud: it is condensed where the last descent ended.
 
     An end that is clearly worse than another one, whose χ² is `least`, is not known so closely.
@@ -335,7 +335,7 @@ def _by_passes(near: Settled, sheet: Sheet, temperature: float, least: float) ->
     for cells in (COARSE, *[FINE] * _PASSES):
         before = near
         condensed = CondensedSheet.of(sheet, near.model, near.blur, cells)
-        near = settle(near.with_cloud(condensed, temperature), _ROUNDS, _CLOSELY, least)
+        near = descend(near.with_cloud(condensed, temperature), _ROUNDS, _CLOSELY, least)
         if near.chi2 - least > _WORSE * np.sum(sheet.weights):
             break
         if cells is FINE and near.away(before) < _SAME:

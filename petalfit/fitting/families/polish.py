@@ -40,26 +40,26 @@ _SAME = 0.5
 def follow(
     coordinates: Coordinates,
     starts: Iterable[tuple[str, AbstractSurface]],
-    settle: Callable[[str, AbstractSurface, Prior | None], Iterate | None],
+    end_of: Callable[[str, AbstractSurface, Prior | None], Iterate | None],
 ) -> list[Iterate]:
     """The ends of starts, the best first; its undetermined parameters keep the template's values.
 
     Args:
         coordinates: The free parameters.
         starts: The starts, with their labels.
-        settle: A function that finds the end of a start, given its label, its model and a prior; it may
+        end_of: A function that finds the end of a start, given its label, its model and a prior; it may
             return None for a start without hope, but not for the first one.
     """
     ends = []
     for label, model in starts:
         report(f"polishing from {label}")
         with stage("polishing"):
-            end = settle(label, model, None)
+            end = end_of(label, model, None)
             ends += [] if end is None else [end]
     best, *others = best_first(ends)
 
     def again(model: AbstractSurface, prior: Prior) -> Iterate:
-        end = settle(best.label, model, prior)
+        end = end_of(best.label, model, prior)
         assert end is not None
         return end
 

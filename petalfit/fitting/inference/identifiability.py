@@ -9,8 +9,8 @@ from jaxtyping import Bool, Float
 from scipy.special import stdtrit
 
 from petalfit.components import Parameter, Posed, parameters
+from petalfit.fitting.solver.descent import ALWAYS
 from petalfit.fitting.solver.iterate import Iterate
-from petalfit.fitting.solver.settle import ALWAYS
 from petalfit.results import CLEAR_LEAD, FitWarning, Posterior, WarningKind, quantile
 from petalfit.surfaces import AbstractSurface, value_at
 

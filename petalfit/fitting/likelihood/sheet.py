@@ -226,7 +226,7 @@ def _cost(
     """
     own, noise = z[:-NUISANCES], _Noise.of(z)
     model = box.model(own)
-    places = _settled(model, spans, noise, points, places, steps)
+    places = _likelier_places(model, spans, noise, points, places, steps)
     position, tangents = position_and_tangents(model, places[:, 0], places[:, 1])
     gap, strips = (position - points) / noise.sigma, _Strips.of(model, spans, noise.tau, places)
     here = potential(strips.x, strips.half, noise.rho)
@@ -282,7 +282,7 @@ def _cost(
 _block_cost = Program(_cost)
 
 
-def _settled(
+def _likelier_places(
     model: AbstractSurface,
     spans: Spans,
     noise: _Noise,

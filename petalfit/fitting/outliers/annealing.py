@@ -105,8 +105,8 @@ def clear(
         term = cloud.match(model, dataclasses.replace(term, sigma=term_of(end).sigma))
         changed = 1.0 if members is None else float(np.max(np.abs(found.members - members)))
         members = found.members
-        settled = end.moved <= _TOLERANCE and changed < _UNCHANGED
-        if settled or rounds >= _ROUNDS or np.isinf(end.moved):
+        done = end.moved <= _TOLERANCE and changed < _UNCHANGED
+        if done or rounds >= _ROUNDS or np.isinf(end.moved):
             whole = TangentDistance(data=Data.of(points, kept, noise), uv=term.uv, sigma=term.sigma)
             return dataclasses.replace(end, terms=(whole,), rounds=rounds, mixture=found)
 

@@ -39,10 +39,10 @@ class AssemblyFamily(AbstractFamily):
         if not request.from_template:
             starts = extent_starts(coordinates, ObservedParts.of, points[some], weights[some])
 
-        def settle(label: str, model: AbstractSurface, prior: Prior | None) -> Iterate:
+        def end_of(label: str, model: AbstractSurface, prior: Prior | None) -> Iterate:
             end = minimise(
                 coordinates, [observed], model, [None], _ROUNDS, _TOLERANCE, prior, every=2
             )
             return without_bias(coordinates, label, [observed], end, prior)
 
-        return follow(coordinates, starts, settle)
+        return follow(coordinates, starts, end_of)

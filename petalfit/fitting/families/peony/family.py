@@ -222,12 +222,12 @@ def _polished_poses(
 
     polish = Polishing(scan, coordinates)
 
-    def settle(name: str, model: AbstractSurface, prior: Prior | None) -> Iterate | None:
+    def end_of(name: str, model: AbstractSurface, prior: Prior | None) -> Iterate | None:
         end = polish(name, model, prior)
         ends.extend([] if end is None else [end])
         return end
 
-    return follow(coordinates, starts(), settle)
+    return follow(coordinates, starts(), end_of)
 
 
 def _ribs_left(coordinates: Coordinates, scan: Scan, end: Iterate) -> bool:

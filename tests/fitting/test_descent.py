@@ -7,8 +7,8 @@ import trimesh
 
 import petalfit as pf
 from petalfit.fitting.likelihood.sheet import Sheet
-from petalfit.fitting.solver import settle as solver
-from petalfit.fitting.solver.settle import Settled, Settling, begun, settle
+from petalfit.fitting.solver import descent as solver
+from petalfit.fitting.solver.descent import Descent, DescentEnd, begun, descend
 
 FREE = ("length", "width", "widest", "tip_width", "tip_taper", "bend", "cup_mid", "twist")
 TRUTH = {"length": 2.0, "width": 0.6, "bend": 0.9, "cup_mid": 0.6, "twist": 0.2}
@@ -23,22 +23,22 @@ def cloud(seed: int, count: int = 700) -> np.ndarray:
     return np.asarray(points) + rng.normal(0, NOISE, (count, 3))
 
 
-def problem(points: np.ndarray, heat: float = 1.0, free: tuple[str, ...] = FREE) -> Settling:
+def problem(points: np.ndarray, heat: float = 1.0, free: tuple[str, ...] = FREE) -> Descent:
     sheet = Sheet(points, np.ones(len(points)))
-    return Settling.of(pf.BladePetal(**TRUTH), free, sheet, None, heat)
+    return Descent.of(pf.BladePetal(**TRUTH), free, sheet, None, heat)
 
 
-def settled(
+def descended(
     start: pf.BladePetal,
     points: np.ndarray,
     rounds: int,
     heat: float = 1.0,
     free: tuple[str, ...] = FREE,
     **options: float,
-) -> Settled:
+) -> DescentEnd:
     sheet = Sheet(points, np.ones(len(points)))
-    made = Settling.of(start, free, sheet, None, heat)
-    return settle(begun(made, start), rounds, **options)
+    made = Descent.of(start, free, sheet, None, heat)
+    return descend(begun(made, start), rounds, **options)
 
 
 def test_the_gradient_is_that_of_differences():
@@ -46,11 +46,11 @@ def test_the_gradient_is_that_of_differences():
         made = problem(cloud(0))
         here = made.start(pf.BladePetal(**TRUTH))
         z = here.z + 0.02 * np.random.default_rng(1).normal(size=len(here.z))
-        here = made.search(made.stand(z, here.places))
-        here = made.stand(z, here.places)
+        here = made.search(made.evaluate(z, here.places))
+        here = made.evaluate(z, here.places)
         for k in range(len(z)):
             step = 1e-5 * np.eye(len(z))[k]
-            up, down = (made.stand(z + sign * step, here.places).cost for sign in (1, -1))
+            up, down = (made.evaluate(z + sign * step, here.places).cost for sign in (1, -1))
             assert here.gradient[k] == pytest.approx((up - down) / 2e-5, rel=1e-3, abs=0.05)
 
 
@@ -67,7 +67,7 @@ def test_ends_do_not_depend_on_the_start(heat):
                 "cup_mid": 0.6 - angle,
             }
             start = pf.BladePetal(**near)
-            ends.append(settled(start, points, 100, heat))
+            ends.append(descended(start, points, 100, heat))
     assert all(end.moved <= 0.2 for end in ends)
     chi2 = [end.chi2 for end in ends]
     assert np.ptp(chi2) < 0.3 * heat
@@ -80,7 +80,7 @@ def test_it_says_how_far_it_is_when_it_has_no_more_rounds():
     points = cloud(3)
     with jax.enable_x64(True):
         far = pf.BladePetal(length=2.3, width=0.5, bend=0.4)
-        end = settled(far, points, 2)
+        end = descended(far, points, 2)
     assert end.rounds == 3  # with the evaluation of the start
     assert end.moved > 1
 
@@ -90,8 +90,8 @@ def test_it_leaves_a_start_that_will_not_reach_another_end():
     with jax.enable_x64(True):
         # A blade too stiff to follow the cloud: of all parameters only its length is free.
         stiff = pf.BladePetal(length=2.0, width=0.6)
-        alone = settled(stiff, points, 60, free=("length",))
-        beside = settled(stiff, points, 60, free=("length",), least=alone.chi2 - 1e4)
+        alone = descended(stiff, points, 60, free=("length",))
+        beside = descended(stiff, points, 60, free=("length",), least=alone.chi2 - 1e4)
     assert beside.rounds <= alone.rounds
     assert beside.chi2 > alone.chi2 - 1e-6
 
@@ -102,7 +102,7 @@ def test_the_prior_moves_nothing_that_is_determined(monkeypatch):
     with jax.enable_x64(True):
         for strength in (solver.ALWAYS, 1e-3):
             monkeypatch.setattr(solver, "ALWAYS", strength)
-            ends.append(settled(pf.BladePetal(**TRUTH), points, 100).end())
+            ends.append(descended(pf.BladePetal(**TRUTH), points, 100).end())
     values = np.array([[float(getattr(end.model, name)) for name in FREE] for end in ends])
     error = np.sqrt(np.diag(np.linalg.inv(ends[1].information)))
     typical = np.array([np.ptp(pf.parameters(pf.BladePetal)[n].typical) for n in FREE]) / 12**0.5
@@ -119,6 +119,6 @@ def test_a_parameter_stops_at_its_bound():
     points = np.asarray(trimesh.sample.sample_surface(mesh, 700, seed=6)[0])
     points += rng.normal(0, NOISE, points.shape)
     with jax.enable_x64(True):
-        end = settled(pf.BladePetal(length=2.0, tip_width=0.2), points, 100)
+        end = descended(pf.BladePetal(length=2.0, tip_width=0.2), points, 100)
     assert end.moved <= 0.2
     assert 0 <= float(end.model.tip_width) < 0.1

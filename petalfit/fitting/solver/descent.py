@@ -36,7 +36,7 @@ _FLOOR = 1e-9  # the least noise, relative to the extent
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Stand:
+class DescentPoint:
     """Where a descent stands.
 
     Attributes:
@@ -63,7 +63,7 @@ class Stand:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Settling:
+class Descent:
     """The problem of a descent: the likelihood of a cloud with the prior, inside a box.
 
     Attributes:
@@ -90,7 +90,7 @@ class Settling:
         sheet: Sheet,
         noise: float | None = None,
         temperature: float = 1.0,
-    ) -> Settling:
+    ) -> Descent:
         """The problem of a cloud.
 
         Args:
@@ -107,7 +107,7 @@ class Settling:
         high = np.concatenate([box.high, [np.log(sigmas[1]), _BLURS[2]]])
         return cls(box, sheet, always(box), temperature, low, high)
 
-    def start(self, model: AbstractSurface) -> Stand:
+    def start(self, model: AbstractSurface) -> DescentPoint:
         """Where the descent begins: the model, moved inside its bounds, and the noise beside it."""
         box = self.box
         # A start on a bound could not leave it where its derivatives vanish.
@@ -117,33 +117,35 @@ class Settling:
         uv = self.sheet.nearest(model)
         z = np.concatenate([own, [np.log(self.sheet.spread(model, uv)), _BLURS[1]]])
         z = np.clip(z, self.low, self.high)
-        return self._stand(z, uv, SEARCH)
+        return self._evaluate(z, uv, SEARCH)
 
-    def stand_anywhere(self, z: Float[np.ndarray, " q"]) -> Stand:
+    def evaluate_anywhere(self, z: Float[np.ndarray, " q"]) -> DescentPoint:
         """The cost at z, with places on the whole surface."""
-        return self._stand(z, self.sheet.nearest(self.box.model(z[:-NUISANCES])), SEARCH)
+        return self._evaluate(z, self.sheet.nearest(self.box.model(z[:-NUISANCES])), SEARCH)
 
-    def search(self, here: Stand) -> Stand:
+    def search(self, here: DescentPoint) -> DescentPoint:
         """The same z, after a search for places that are likelier than the known ones."""
-        found = self.stand_anywhere(here.z)
+        found = self.evaluate_anywhere(here.z)
         likelier = found.each < here.each
         if not np.any(likelier & (self.sheet.padded_weights > 0)):
             return here
-        return self.stand(here.z, np.where(likelier[:, None], found.places, here.places))
+        return self.evaluate(here.z, np.where(likelier[:, None], found.places, here.places))
 
-    def stand(self, z: Float[np.ndarray, " q"], places: Float[np.ndarray, "n 2"]) -> Stand:
+    def evaluate(
+        self, z: Float[np.ndarray, " q"], places: Float[np.ndarray, "n 2"]
+    ) -> DescentPoint:
         """The cost at z, with places near the given ones."""
-        return self._stand(z, places, STEPS)
+        return self._evaluate(z, places, STEPS)
 
-    def _stand(
+    def _evaluate(
         self, z: Float[np.ndarray, " q"], places: Float[np.ndarray, "n 2"], steps: int
-    ) -> Stand:
+    ) -> DescentPoint:
         """The cost at z with the prior, after some Newton steps of the places."""
         found = self.sheet.cost(self.box, z, places, steps)
         nothing = np.zeros(NUISANCES)
         root = np.append(self.prior.root, nothing)
         away = root * (z - np.append(self.prior.centre, nothing))
-        return Stand(
+        return DescentPoint(
             z,
             np.asarray(found.places),
             np.asarray(found.following),
@@ -153,33 +155,33 @@ class Settling:
             np.asarray(found.each),
         )
 
-    def step(self, here: Stand, damping: float) -> Float[np.ndarray, " q"]:
+    def step(self, here: DescentPoint, damping: float) -> Float[np.ndarray, " q"]:
         """The step to the least value of the damped quadratic model inside the box."""
         low, high = self.low - here.z, self.high - here.z
         low[-2], high[-2] = max(low[-2], -_QUIETER), min(high[-2], _QUIETER)
         return _least(here.gradient, here.information + damping * np.eye(len(here.z)), low, high)
 
-    def left(self, here: Stand) -> float:
+    def left(self, here: DescentPoint) -> float:
         """The length of the undamped step, in standard errors."""
         step = self.step(here, 0.0)
         return float(np.sqrt(max(step @ here.information @ step, 0.0)))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Settled:
+class DescentEnd:
     """The end of a descent.
 
     Attributes:
         problem: The problem.
-        stand: Where the descent ended.
+        point: Where the descent ended.
         rounds: The number of evaluations.
         moved: The length of the Gauss-Newton step that is left, in standard errors.
         damping: The damping with which the descent goes on.
         label: The label of the start.
     """
 
-    problem: Settling
-    stand: Stand
+    problem: Descent
+    point: DescentPoint
     rounds: int
     moved: float
     damping: float
@@ -187,36 +189,36 @@ class Settled:
 
     @property
     def model(self) -> AbstractSurface:
-        return self.problem.box.model(self.stand.z[:-NUISANCES])
+        return self.problem.box.model(self.point.z[:-NUISANCES])
 
     @property
     def chi2(self) -> float:
         """−2 log L, with the prior at the problem's temperature."""
-        return 2 * self.problem.temperature * self.stand.cost
+        return 2 * self.problem.temperature * self.point.cost
 
     @property
     def sigma(self) -> float:
-        return float(np.exp(self.stand.z[-2]))
+        return float(np.exp(self.point.z[-2]))
 
     @property
     def blur(self) -> float:
         """The blur τ of the edges."""
-        return float(np.exp(np.sum(self.stand.z[-NUISANCES:])))
+        return float(np.exp(np.sum(self.point.z[-NUISANCES:])))
 
-    def away(self, other: Settled) -> float:
+    def away(self, other: DescentEnd) -> float:
         """How far another place lies from this one, in standard errors of this one."""
-        step = other.stand.z - self.stand.z
-        return float(np.sqrt(max(step @ self.stand.information @ step, 0.0)))
+        step = other.point.z - self.point.z
+        return float(np.sqrt(max(step @ self.point.information @ step, 0.0)))
 
-    def with_cloud(self, sheet: Sheet, temperature: float) -> Settled:
+    def with_cloud(self, sheet: Sheet, temperature: float) -> DescentEnd:
         """The same place before another cloud, from which a descent can go on."""
         problem = dataclasses.replace(self.problem, sheet=sheet, temperature=temperature)
-        stand = problem.stand_anywhere(self.stand.z)
-        return dataclasses.replace(self, problem=problem, stand=stand, moved=problem.left(stand))
+        point = problem.evaluate_anywhere(self.point.z)
+        return dataclasses.replace(self, problem=problem, point=point, moved=problem.left(point))
 
     def end(self) -> Iterate:
         """The end in the form of other solvers, with foot points and residuals."""
-        problem, here, model = self.problem, self.stand, self.model
+        problem, here, model = self.problem, self.point, self.model
         distance, beyond, uv = problem.sheet.beside(model, here.places)
         sheet = problem.sheet.whole
         residuals = Residuals(
@@ -241,15 +243,15 @@ class Settled:
         )
 
 
-def begun(problem: Settling, model: AbstractSurface, label: str = "") -> Settled:
+def begun(problem: Descent, model: AbstractSurface, label: str = "") -> DescentEnd:
     """The start of a descent."""
-    stand = problem.start(model)
-    return Settled(problem, stand, 1, problem.left(stand), _FIRST, label)
+    point = problem.start(model)
+    return DescentEnd(problem, point, 1, problem.left(point), _FIRST, label)
 
 
-def settle(
-    start: Settled, rounds: int, tolerance: float = TOLERANCE, least: float = np.inf
-) -> Settled:
+def descend(
+    start: DescentEnd, rounds: int, tolerance: float = TOLERANCE, least: float = np.inf
+) -> DescentEnd:
     """Follows the likelihood of a sheet from a start to its stationary point.
 
     The method is Gauss-Newton with Levenberg's damping: directions that the data hardly determine take
@@ -262,8 +264,8 @@ def settle(
         tolerance: The length of the step, in standard errors, below which the descent ends.
         least: The χ² of another end. A descent that is far above it, and gains little, stops.
     """
-    problem, here, damping, moved = start.problem, start.stand, start.damping, start.moved
-    factor, number, since, before = 2.0, 0, 0, start.stand.cost
+    problem, here, damping, moved = start.problem, start.point, start.damping, start.moved
+    factor, number, since, before = 2.0, 0, 0, start.point.cost
     while number < rounds and (moved > tolerance or since > 0):
         number += 1
         if moved <= tolerance or since == _LOOK_AGAIN:
@@ -276,14 +278,14 @@ def settle(
             continue
         step = problem.step(here, damping)
         promised = -float(here.gradient @ step + 0.5 * step @ here.information @ step)
-        there = problem.stand(here.z + step, _followed(problem.box.template, here, step))
+        there = problem.evaluate(here.z + step, _followed(problem.box.template, here, step))
         gain, since = here.cost - there.cost, since + 1
         if there.is_finite and gain > -_JITTER:
             share = gain / promised if promised > 10 * _JITTER else 1.0
             damping = max(damping * max(0.2, 1 - (2 * share - 1) ** 3), _LEAST)
             here, factor, moved = there, 2.0, problem.left(there)
             if is_looked_on():
-                end = Settled(problem, here, number, moved, damping, start.label)
+                end = DescentEnd(problem, here, number, moved, damping, start.label)
                 # Places in the plane are good enough for a picture.
                 count = len(problem.sheet.points)
                 show(end.model, [_term(problem.sheet, here.places[:count], end.sigma)])
@@ -291,11 +293,11 @@ def settle(
             damping, factor = damping * factor, min(2 * factor, 32.0)
             if damping > _MOST:
                 break
-    return Settled(problem, here, start.rounds + number, moved, damping, start.label)
+    return DescentEnd(problem, here, start.rounds + number, moved, damping, start.label)
 
 
 def _followed(
-    model: AbstractSurface, here: Stand, step: Float[np.ndarray, " q"]
+    model: AbstractSurface, here: DescentPoint, step: Float[np.ndarray, " q"]
 ) -> Float[np.ndarray, "n 2"]:
     """The places to which a step of z moves those of the points, to first order."""
     low, high = (np.array(side) for side in zip(*model.domain, strict=True))
