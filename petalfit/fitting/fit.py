@@ -126,7 +126,7 @@ def fit(  # pyright: ignore[reportInconsistentOverload]
             shape (N,) has one σ for each point of a single cloud. For silhouettes σ is always estimated.
         loss: "linear": least squares, right for noise without gross outliers. "robust": points may
             be outliers or clutter. Each point then counts by the probability that it belongs to the
-            surface, which is in the result's weights. Where the pose of a petal is sought, a table
+            surface, which is in the result's weights. Where the pose of a petal is fitted, a table
             under it and its stalk are left out.
         seed: The seed of random choices; the result hardly depends on it.
         base: Which end of a blade is its base, if its pose is fitted: a point near it, in the cloud's

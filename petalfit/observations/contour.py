@@ -85,7 +85,7 @@ def trace(
 
     if not mask.any():
         return np.empty((0, 2)), np.empty((0, 2)), np.empty(0)
-    # Contours are sought only in the box around the object: large images are mostly background.
+    # Contours are traced only in the box around the object: large images are mostly background.
     rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
     top, left = max(rows[0] - 1, 0), max(columns[0] - 1, 0)
     inner = mask[top : rows[-1] + 2, left : columns[-1] + 2]

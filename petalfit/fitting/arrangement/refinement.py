@@ -51,7 +51,7 @@ def refined(placed: Placed, axis: Axis, pattern: Pattern) -> Axis:
 
     Args:
         placed: The places of the petals.
-        axis: The axis near which it is sought.
+        axis: The axis near which the search begins.
         pattern: The arrangement of the petals about that axis.
 
     Returns:

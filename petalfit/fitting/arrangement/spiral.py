@@ -15,7 +15,7 @@ _STEP = math.radians(0.5)  # between divergences that are tried
 _PHASES = 60
 _SCATTER = 0.08  # rad; the expected scatter of azimuths about a spiral
 _SHUFFLED = 0.08  # the expected error of a rank by distance, in numbers of petals
-_LIKELY = 40  # pairs of divergence and phase for which the best order is sought
+_LIKELY = 40  # pairs of divergence and phase for which the best order is searched
 _ROUNDS = 5
 
 

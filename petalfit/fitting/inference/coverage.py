@@ -22,7 +22,7 @@ _BEYOND, _NEAR = 3.0, 1.25
 # The outline is loose where the nearest point is farther than so many spacings. Of an outline that was
 # drawn around points that are spread evenly, this is 3 %.
 _LOOSE = 1.5
-_DIRECTIONS = 720  # in which an outline's farthest point is sought
+_DIRECTIONS = 720  # in which an outline's farthest point is found
 _FEWEST = 50  # points, below which nothing can be said of their spacing
 _MOST = 2000  # points that the nearest one is searched among: the verdict does not depend on their number
 

@@ -108,12 +108,12 @@ def pixel_errors(
     middle = np.mean([match.distance[~match.forward] for match in others], axis=0)
     observed = target.distance[~target.forward] - middle
     simulated = same.distance[~same.forward] - middle
-    calm = target.length[~target.forward] / (1 + (observed / view.kernel) ** 2)
+    cauchy = target.length[~target.forward] / (1 + (observed / view.kernel) ** 2)
     # Errors that the parameters can follow are left out: they may come from elsewhere, such as a cloud
     # that pulls at the outline.
-    rows = np.sqrt(calm)[:, None] * scorer.rows(target)[~target.forward]
+    rows = np.sqrt(cauchy)[:, None] * scorer.rows(target)[~target.forward]
     basis = np.linalg.qr(np.concatenate([rows, 1e-3 * np.eye(len(t))]))[0][: len(rows)]
-    one, other = (np.sqrt(calm) * distance for distance in (simulated, observed))
+    one, other = (np.sqrt(cauchy) * distance for distance in (simulated, observed))
     one = one - basis @ (basis.T @ one)
     likeness = float(np.clip(one @ other / (one @ one + 1e-300), 0.0, 1.0))
     expected = np.mean([_variance(match) for match in others])
@@ -215,31 +215,31 @@ def _of_noise(scorer: _Scorer, match: Match, excess: float) -> Float[np.ndarray,
     slopes = scorer.rows(match)[every]
     # Distances at corners that the noise has rounded off are no measure of it: they are clipped.
     distance = np.clip(match.distance[every], -3 * scorer.noise, 3 * scorer.noise)
-    calm = weights > 0
+    counts = weights > 0
     weights = weights * (np.sum(match.length[match.forward]) / np.sum(match.length[every]))
     inverse = np.linalg.inv((weights[:, None] * slopes).T @ slopes + np.eye(slopes.shape[1]))
     followed = slopes @ inverse @ (weights[:, None] * slopes).T
     left = np.eye(len(every)) - followed
     lag = np.abs(np.subtract.outer(np.arange(len(every)), np.arange(len(every))))
     lag = np.minimum(lag, len(every) - lag)
-    width = _half_lag(distance, calm) / _HALF
+    width = _half_lag(distance, counts) / _HALF
     noise = np.exp(-0.5 * (lag / width) ** 2)
     residual = np.diag(left @ noise @ left.T)
-    variance = excess * np.sum(distance[calm] ** 2) / np.sum(residual[calm])
+    variance = excess * np.sum(distance[counts] ** 2) / np.sum(residual[counts])
     # The variance is estimated from few independent stretches of contour: its error widens the
     # distribution to Student's.
-    stretches = np.count_nonzero(calm) / (np.sqrt(2 * np.pi) * max(width, 0.4)) - slopes.shape[1]
+    stretches = np.count_nonzero(counts) / (np.sqrt(2 * np.pi) * max(width, 0.4)) - slopes.shape[1]
     variance *= max(stretches, 4.0) / (max(stretches, 4.0) - 2)
     parts = weights[:, None] * slopes
     return variance * parts.T @ noise @ parts
 
 
-def _half_lag(distance: np.ndarray, calm: np.ndarray) -> float:
+def _half_lag(distance: np.ndarray, counts: np.ndarray) -> float:
     """The number of places along the contour at which the correlation of distances falls to one half."""
-    distance, before = np.where(calm, distance, 0.0), 1.0
-    power = float(np.mean(distance[calm] ** 2)) + 1e-300
+    distance, before = np.where(counts, distance, 0.0), 1.0
+    power = float(np.mean(distance[counts] ** 2)) + 1e-300
     for lag in range(1, len(distance) // 4):
-        pairs = max(int(np.count_nonzero(calm[lag:] & calm[:-lag])), 1)
+        pairs = max(int(np.count_nonzero(counts[lag:] & counts[:-lag])), 1)
         here = float(distance[lag:] @ distance[:-lag]) / pairs / power
         if here < 0.5:
             return lag - 1 + (before - 0.5) / max(before - here, 1e-12)

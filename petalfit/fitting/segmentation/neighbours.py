@@ -1,4 +1,4 @@
-"""The neighbours of every point, among which the points of its own sheet are sought."""
+"""The neighbours of every point, among which the points of its own sheet are found."""
 
 from __future__ import annotations
 

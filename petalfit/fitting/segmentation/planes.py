@@ -19,7 +19,7 @@ _SMOOTHINGS, _CANDIDATES = 3, 8
 def tangent_planes(near: Neighbours, noise: float, seed: int) -> Float[np.ndarray, "n 3"]:
     """Unit normals of the sheets at all points, each of either sign.
 
-    The plane with the largest support among the neighbours is sought first. Then points take over the
+    The plane with the largest support among the neighbours is found first. Then points take over the
     normals of their neighbours, where these are supported by more neighbours whose normals agree.
 
     Args:

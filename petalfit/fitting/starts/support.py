@@ -23,7 +23,7 @@ from petalfit.residuals import pull_back
 T = TypeVar("T")
 # Numbers of candidates and of those that are improved, and how many times more a thorough search takes:
 # one compiled program serves both.
-_GLANCED, _GLANCED_IMPROVED = 256, 32
+_TRIED, _TRIED_IMPROVED = 256, 32
 _MORE, _MORE_IMPROVED = 8, 4
 _STEPS = 8
 _DIRECTIONS = 48
@@ -80,7 +80,7 @@ def search(
         most: The largest number of candidates to return.
         thorough: Whether to try all candidates; else an eighth as many, and improve a quarter as many.
     """
-    candidates, improving = _GLANCED, _GLANCED_IMPROVED
+    candidates, improving = _TRIED, _TRIED_IMPROVED
     if thorough:
         candidates, improving = _MORE * candidates, _MORE_IMPROVED * improving
     angle = 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
@@ -94,17 +94,16 @@ def search(
         # Where the contour is cut off, the petal reaches at least so far: reaching farther costs nothing.
         known[k] = shadow.weight[np.argmax(along, axis=0)] > 0
     places = coordinates.spread(candidates)
-    glanced = [
-        (coordinates, some, matrices, directions)
-        for some in np.split(places, candidates // _GLANCED)
+    tried = [
+        (coordinates, some, matrices, directions) for some in np.split(places, candidates // _TRIED)
     ]
-    found = np.concatenate(_supports.map(glanced)).astype(float)
+    found = np.concatenate(_supports.map(tried)).astype(float)
     gap = np.where((known == 0) & (found > reach), 0.0, found - reach) / scale[:, None]
     score = np.mean(np.log1p((gap / 3) ** 2), axis=(1, 2))
     best = places[np.argsort(score)[:improving]]
     begun = [
         (coordinates, some, matrices, directions, reach, known, scale)
-        for some in np.split(best, improving // _GLANCED_IMPROVED)
+        for some in np.split(best, improving // _TRIED_IMPROVED)
     ]
     improved, score = (
         np.concatenate(part).astype(float) for part in zip(*_improve.map(begun), strict=True)
@@ -181,11 +180,11 @@ def _view_improvement(
         slopes = coordinates.gather(pulled) * coordinates.slopes(t)
         slopes = slopes / jnp.repeat(scale, len(directions))[:, None]
         gap = gap.reshape(-1)
-        calm = 1 / (1 + gap**2)
-        matrix = slopes.T @ (calm[:, None] * slopes) + (_PRIOR + 0.3) * jnp.eye(
+        cauchy = 1 / (1 + gap**2)
+        matrix = slopes.T @ (cauchy[:, None] * slopes) + (_PRIOR + 0.3) * jnp.eye(
             len(t), dtype=t.dtype
         )
-        move = jnp.linalg.solve(matrix, slopes.T @ (calm * gap) + _PRIOR * t * coordinates.active)
+        move = jnp.linalg.solve(matrix, slopes.T @ (cauchy * gap) + _PRIOR * t * coordinates.active)
         return (t - jnp.clip(move, -1.0, 1.0)).astype(t.dtype), jnp.mean(jnp.log1p(gap**2))
 
     def one(t: Array) -> tuple[Array, Array]:

@@ -45,7 +45,7 @@ class ObservedParts(AbstractObserved):
 
     def match(self, model: AbstractSurface, term: AbstractTerm | None) -> PartsDistance:
         """The term with foot points on every part, and each point shared among the parts near it."""
-        feet, gaps = self._reach(model, term)
+        places, gaps = self._reach(model, term)
         sigma = self.data.sigma if term is None else term.sigma
         terms = tuple(
             TangentDistance(
@@ -53,7 +53,7 @@ class ObservedParts(AbstractObserved):
                 uv=uv,
                 sigma=self.data.sigma,
             )
-            for share, uv in zip(_shares(gaps, float(sigma)), feet, strict=True)
+            for share, uv in zip(_shares(gaps, float(sigma)), places, strict=True)
         )
         return PartsDistance(terms=terms, sigma=sigma)
 
@@ -61,16 +61,16 @@ class ObservedParts(AbstractObserved):
         self, model: AbstractSurface, term: AbstractTerm | None
     ) -> tuple[list[np.ndarray], Float[np.ndarray, "k n"]]:
         """Foot points of all points on every part, and the distances to them."""
-        points, feet, gaps = self.data.points, [], []
+        points, places, gaps = self.data.points, [], []
         for k, (pose, surface) in enumerate(cast(AbstractAssembly, model).parts().values()):
             # Points are taken to the part's own frame, so that parts of one kind share their programs.
             own = pose.into(points)
             known = isinstance(term, PartsDistance)
             start = term.terms[k].uv if known else nearest_nodes(surface, own)
             uv = refine_foot_points(surface, own, start, 2 if known else 6)
-            feet.append(uv)
+            places.append(uv)
             gaps.append(distances(surface, own, uv) * float(pose.scale))
-        return feet, np.stack(gaps)
+        return places, np.stack(gaps)
 
     def misfit(self, model: AbstractSurface) -> float:
         _, gaps = self._reach(model, None)
