@@ -267,12 +267,11 @@ def check_request(
 
 
 def tip_of(result: FitResult) -> tuple[float, ...]:
-    """The place in the target's frame that a fit takes for the tip: in the middle of the upper v side.
+    """The place in the target's frame that a fit takes for the tip.
 
     In an image it is (x, y) in pixels, else (x, y, z).
     """
-    (u_low, u_high), (_, v_high) = result.model.domain
-    tip = np.asarray(result.model(0.5 * (u_low + u_high), v_high), np.float64)
+    tip = np.asarray(result.model(*result.model.domain.tip), np.float64)
     place = result.pose(tip[None])[0].tolist()
     return tuple(place[:2] if result.in_image else place)
 

@@ -96,7 +96,6 @@ class FlowerResult(FlowerRecord):
 
 def base_of(petal: FitResult) -> np.ndarray:
     """The place of the middle of a petal's base in the target's frame."""
-    (u_low, u_high), (v_low, _) = petal.model.domain
     with jax.enable_x64(True):
-        base = np.asarray(petal.model(0.5 * (u_low + u_high), v_low), np.float64)
+        base = np.asarray(petal.model(*petal.model.domain.base), np.float64)
         return np.asarray(petal.pose(base[None]))[0]

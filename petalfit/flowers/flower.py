@@ -214,8 +214,7 @@ def _on_its_base(surface: AbstractSurface) -> Pose:
     """The pose that moves the middle of a petal's base to the origin, where other organs have it."""
     if not all(surface.edges):
         return jax.tree.map(lambda leaf: jnp.asarray(leaf, float), Pose.identity())
-    (u_low, u_high), (v_low, _) = surface.domain
-    base = surface.position(jnp.asarray(0.5 * (u_low + u_high)), jnp.asarray(v_low))
+    base = surface.position(*map(jnp.asarray, surface.domain.base))
     return jax.tree.map(jnp.asarray, Pose(jnp.eye(3), -base, 1.0))
 
 

@@ -29,6 +29,16 @@ class Domain(NamedTuple):
     u: tuple[float, float]
     v: tuple[float, float]
 
+    @property
+    def base(self) -> tuple[float, float]:
+        """The place (u, v) of a petal's base: the middle of the side where v is least."""
+        return 0.5 * sum(self.u), self.v[0]
+
+    @property
+    def tip(self) -> tuple[float, float]:
+        """The place (u, v) of a petal's tip: the middle of the side where v is greatest."""
+        return 0.5 * sum(self.u), self.v[1]
+
 
 class AbstractMap(eqx.Module):
     """A map S(u, v) to ℝ³. A subclass defines `domain` and `position`; autodiff gives the rest.

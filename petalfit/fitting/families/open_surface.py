@@ -224,14 +224,10 @@ class OpenSurfaceFamily(AbstractFamily):
 
 
 def _with_base_near(starts: Sequence[CloudStart], place: Float[np.ndarray, "3"]) -> CloudStart:
-    """Of starts in a fitted pose, the one whose base is the nearest to a place.
-
-    The base is the middle of the side where v is least.
-    """
+    """Of starts in a fitted pose, the one whose base is the nearest to a place."""
 
     def away(start: CloudStart) -> float:
-        (u_low, u_high), (v_low, _) = start.model.domain
-        base = np.asarray(start.model(0.5 * (u_low + u_high), v_low))
+        base = np.asarray(start.model(*start.model.domain.base))
         there = start.scale * start.rotation @ base + start.translation
         return float(np.linalg.norm(there - place))
 

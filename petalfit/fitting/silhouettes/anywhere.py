@@ -146,9 +146,8 @@ def _usual_first(family: AbstractFamily, found: Sequence[Followed]) -> list[Foll
 def _begins_near(followed: Followed, place: np.ndarray) -> bool:
     """Whether a place is nearer to the base of an end than to its tip."""
     model = followed.end.model
-    (u_low, u_high), v = model.domain
-    middle = np.full(2, 0.5 * (u_low + u_high))
-    base, tip = np.asarray(model(middle, np.array(v)), np.float64)
+    ends = np.array([model.domain.base, model.domain.tip])
+    base, tip = np.asarray(model(*ends.T), np.float64)
     return bool(np.linalg.norm(base - place) < np.linalg.norm(tip - place))
 
 
