@@ -64,6 +64,16 @@ class Match(NamedTuple):
         """Distances in pixels, positive where the outline lies outside of the contour."""
         return np.sum(self.normal * (self.seen - self.place), axis=-1)
 
+    def slopes(self, seen: Outline, outwards: Float[np.ndarray, "m p"]) -> Float[np.ndarray, "n p"]:
+        """Derivatives of the distances.
+
+        Args:
+            seen: The outline that is matched.
+            outwards: Derivatives of all of its places along their own normals, in pixels.
+        """
+        facing = np.sum(self.normal * seen.normal[self.number], axis=-1)
+        return facing[:, None] * outwards[self.number]
+
 
 @dataclasses.dataclass(frozen=True)
 class View:

@@ -87,8 +87,7 @@ class _Scorer(NamedTuple):
 
     def rows(self, match: Match) -> Float[np.ndarray, "n p"]:
         """Derivatives with respect to t of the distances of a match."""
-        facing = np.sum(match.normal * self.matched.seen.normal[match.number], axis=-1)
-        return facing[:, None] * self.slopes[match.number]
+        return match.slopes(self.matched.seen, self.slopes)
 
     def score(self, match: Match) -> Float[np.ndarray, " p"]:
         """Derivative with respect to t of half the weighted sum of squared distances."""

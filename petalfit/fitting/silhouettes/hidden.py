@@ -161,8 +161,7 @@ class _Bent:
         t = around.inverse(place.model)
         slopes = slopes_of_outline(around, t, self.view.contour, seen) / around.slopes(t)
         kept = [name in self.shown for name in around.free]
-        facing = np.sum(match.normal * seen.normal[match.number], axis=-1, keepdims=True)
-        rows = facing * (self.spread * slopes[:, kept])[match.number]
+        rows = match.slopes(seen, self.spread * slopes[:, kept])
         tempered = 1 + (match.distance / (_TEMPERED * self.view.kernel)) ** 2
         weights = match.length / (2 * tempered)
         return rows.T @ (weights[:, None] * rows), rows.T @ (weights * match.distance) + place.moved
