@@ -39,7 +39,9 @@ class Program(Generic[R]):
     def map(self, calls: Sequence[tuple]) -> list[R]:
         """The results of several calls, computed side by side; arguments differ in their values alone.
 
-        Within a call that is itself computed beside others, they are computed one after the other.
+        Within a call that is itself computed beside others, they are computed one after the other. The
+        function must not solve many linear systems at once: XLA divides them among its threads, and two
+        programs that do so at the same time may wait for each other for ever.
 
         Returns:
             The results, in arrays of NumPy.

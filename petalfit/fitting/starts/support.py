@@ -94,19 +94,24 @@ def search(
         # Where the contour is cut off, the petal reaches at least so far: reaching farther costs nothing.
         known[k] = shadow.weight[np.argmax(along, axis=0)] > 0
     places = coordinates.spread(candidates)
-    tried = [
-        (coordinates, some, matrices, directions) for some in np.split(places, candidates // _TRIED)
-    ]
-    found = np.concatenate(_supports.map(tried)).astype(float)
+    found = np.concatenate(
+        [
+            np.asarray(_supports(coordinates, some, matrices, directions), np.float64)
+            for some in np.split(places, candidates // _TRIED)
+        ]
+    )
     gap = np.where((known == 0) & (found > reach), 0.0, found - reach) / scale[:, None]
     score = np.mean(np.log1p((gap / 3) ** 2), axis=(1, 2))
     best = places[np.argsort(score)[:improving]]
-    begun = [
-        (coordinates, some, matrices, directions, reach, known, scale)
+    # Not side by side: XLA divides the solutions of many systems among its threads, and two programs that
+    # do so wait for each other for ever.
+    parts = [
+        _improve(coordinates, some, matrices, directions, reach, known, scale)
         for some in np.split(best, improving // _TRIED_IMPROVED)
     ]
     improved, score = (
-        np.concatenate(part).astype(float) for part in zip(*_improve.map(begun), strict=True)
+        np.concatenate([np.asarray(x, np.float64) for x in part])
+        for part in zip(*parts, strict=True)
     )
     chosen: list[Candidate] = []
     for k in np.argsort(score):
