@@ -149,10 +149,11 @@ def sheets(
     slope = (end_x - start_x) / np.where(end_y == start_y, 1.0, end_y - start_y)
     found = np.empty(len(places), int)
     order = np.argsort(places[:, 1])
-    for some in np.split(order, range(_BAND, len(order), _BAND)):
+    for first in range(0, len(order), _BAND):
+        some = order[first : first + _BAND]
         x, y = places[some, :1], places[some, 1:]
         # Whether a ray from the place to the right meets the edge; few edges reach the band of places.
-        near = np.flatnonzero((low <= y[-1:, 0]) & (y[:1, 0] < high))
+        near = np.flatnonzero((low <= y[-1]) & (y[0] < high))
         met = (low[near] <= y) & (y < high[near])
         met &= start_x[near] + (y - start_y[near]) * slope[near] > x
         found[some] = np.rint(met @ count[near])

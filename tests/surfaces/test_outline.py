@@ -39,6 +39,8 @@ def test_sheets_are_the_triangles_that_cover_a_place(view):
     covering = shapely.contains_xy(triangles[:, None], *places.T).sum(axis=0)
     edges = rims_and_folds(xy.reshape(17, 13, 2))
     np.testing.assert_array_equal(sheets(places, xy, edges), covering)
+    # A surface that is seen edge-on encloses no cells to count sheets in.
+    assert len(sheets(places[:0], xy, edges)) == 0
     assert covering.max() >= (1 if view in ("front", "oblique") else 2)
 
 
